@@ -218,8 +218,8 @@ class ForceLoop:
         """Return force, torque and change of force since `begin_step`, as costs from 0 to 1; see
         `core.Costs`.
         """
-        found = self._core.costs()
-        return found.force, found.torque, found.change
+        costs = self._core.costs()
+        return costs.force, costs.torque, costs.change
 
     def outcome(self, target: Array, error: Array, measured: Array) -> core.Outcome:
         """Return the true state of the hold; see `core.Controller.outcome`."""
@@ -236,7 +236,7 @@ class ForceLoop:
         target: Array,
         due: bool,
         adjustment: Array | None = None,
-        given: Array | None = None,
+        forces: Array | None = None,
     ) -> list[float]:
         """Run one control tick: read the scene, find the forces, and return the joint torques (M,)
         [N m] that produce them.
@@ -249,12 +249,12 @@ class ForceLoop:
             due: True at the first tick of an agent's step.
             adjustment: (max(3N - 6, 1),) [N] along internal forces of the planned contacts, added
                 to the start, which is then repaired.
-            given: (N, 3) forces to command instead of optimised ones [N], contact frames.
+            forces: (N, 3) forces to command instead of optimised ones [N], contact frames.
         """
         core = self._core
         noise = self._noise
         reading = self.scene.new_reading()
-        if given is not None and self._held != Hold.direct:
+        if forces is not None and self._held != Hold.direct:
             self._hold(Hold.direct)
         row = None if noise is None else noise()
         by_rule = due and self._needs_rule
@@ -263,7 +263,7 @@ class ForceLoop:
         if not core.see(reading, external, gravity, target, row):
             assert reading is not None  # earlier readings are finite
             raise self.scene.divergence_error(reading)
-        return self._from_rule(adjustment) if by_rule else core.act(due, adjustment, None, given)
+        return self._from_rule(adjustment) if by_rule else core.act(due, adjustment, None, forces)
 
     def _from_rule(self, adjustment: Array | None) -> list[float]:
         """Run the tick of a method with a Python start rule, on the contacts as they are measured."""
@@ -349,39 +349,41 @@ def control_settings(
     """Return the controller's settings: the object without its payload, and all gains."""
     tips, joints = kinematics.mobility(kinematics.home)
     dt = 1.0 / config.controller.rate
-    made = core.ControlSettings()
-    made.body = believed_body(config, item)
-    made.reach = [
+    settings = core.ControlSettings()
+    settings.body = believed_body(config, item)
+    settings.reach = [
         stable_spring(
             REACH_STIFFNESS,
-            2.0 * math.sqrt(REACH_STIFFNESS * max(REACH_MASS, 1.0 / each)),
+            2.0 * math.sqrt(REACH_STIFFNESS * max(REACH_MASS, 1.0 / mobility)),
             REACH_LIMIT,
-            each,
+            mobility,
             dt,
         )
-        for each in tips
+        for mobility in tips
     ]
-    made.spring = core.Spring(config.controller.pd_stiffness, config.controller.pd_damping, np.inf)
-    made.reach_depth = REACH_FORCE / REACH_STIFFNESS
-    made.posture = [
+    settings.spring = core.Spring(
+        config.controller.pd_stiffness, config.controller.pd_damping, np.inf
+    )
+    settings.reach_depth = REACH_FORCE / REACH_STIFFNESS
+    settings.posture = [
         stable_spring(
             POSTURE_STIFFNESS,
-            max(POSTURE_DAMPING, 2.0 * math.sqrt(POSTURE_STIFFNESS / max(each, 1.0))),
+            max(POSTURE_DAMPING, 2.0 * math.sqrt(POSTURE_STIFFNESS / max(mobility, 1.0))),
             np.inf,
-            each,
+            mobility,
             dt,
         )
-        for each in joints
+        for mobility in joints
     ]
-    made.set_follow(
+    settings.set_follow(
         config.solver.tolerance,
         min(config.solver.max_iterations, FOLLOW_ITERATIONS),
         config.solver.method == "conic",
     )
-    made.squeeze = config.controller.squeeze
-    made.most_change = config.controller.force_rate / config.controller.rate
-    made.release = RELEASE
-    return made
+    settings.squeeze = config.controller.squeeze
+    settings.most_change = config.controller.force_rate / config.controller.rate
+    settings.release = RELEASE
+    return settings
 
 
 def stable_spring(
@@ -414,10 +416,10 @@ def believed_body(config: EnvConfig, item: ObjectDescription) -> core.Body:
 
 def critically_damped(item: ObjectDescription, push: float, turn: float) -> core.Body:
     """Return an object with pose feedback of two bandwidths [rad/s]."""
-    made = core.Body()
-    made.mass, made.inertia = item.mass, item.inertia_matrix.reshape(-1).tolist()
-    made.position_gain = item.mass * push**2
-    made.position_damping = 2.0 * item.mass * push
-    made.rotation_gain = turn**2
-    made.rotation_damping = 2.0 * turn
-    return made
+    body = core.Body()
+    body.mass, body.inertia = item.mass, item.inertia_matrix.reshape(-1).tolist()
+    body.position_gain = item.mass * push**2
+    body.position_damping = 2.0 * item.mass * push
+    body.rotation_gain = turn**2
+    body.rotation_damping = 2.0 * turn
+    return body

@@ -15,15 +15,15 @@ def sensor_settings(config: EnvConfig) -> core.SensorSettings:
     """Return the settings of the core's sensors; the controller knows the delay and extrapolates
     over it.
     """
-    made = core.SensorSettings()
-    made.wrench = getattr(core.WrenchSource, config.sensors.wrench)
-    made.tick = 1.0 / config.controller.rate
-    made.keep = keep_factor(config.sensors.estimator_time, made.tick)
-    made.delay = late_ticks(config)
-    made.wrench_delay = config.sensors.wrench_delay
-    made.pose_noise = config.sensors.pose_noise
-    made.tactile_noise = config.sensors.tactile_noise
-    return made
+    settings = core.SensorSettings()
+    settings.wrench = getattr(core.WrenchSource, config.sensors.wrench)
+    settings.tick = 1.0 / config.controller.rate
+    settings.keep = keep_factor(config.sensors.estimator_time, settings.tick)
+    settings.delay = late_ticks(config)
+    settings.wrench_delay = config.sensors.wrench_delay
+    settings.pose_noise = config.sensors.pose_noise
+    settings.tactile_noise = config.sensors.tactile_noise
+    return settings
 
 
 def late_ticks(config: EnvConfig) -> int:

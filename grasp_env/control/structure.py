@@ -43,11 +43,11 @@ class FingerStructure(NamedTuple):
         listed = ", ".join(
             f"{share:.0%} of the force of {name!r} "
             + (
-                f"(motors make {made} of 3 components)"
-                if made < 3
+                f"(motors make {count} of 3 components)"
+                if count < 3
                 else "(other fingers share its motors)"
             )
-            for name, made, share in zip(
+            for name, count, share in zip(
                 names, self.components.tolist(), self.share.tolist(), strict=True
             )
             if share > MAX_CARRIED
@@ -80,9 +80,9 @@ def finger_structure(
     components: Indices = np.array(
         [motor_force_basis(part).shape[1] for part in jacobian], dtype=np.int64
     )
-    found = optimize_forces(grasp, wrenches, workers=1).force
+    optimal = optimize_forces(grasp, wrenches, workers=1).force
     forces = np.einsum(
-        "nij,mnj->mni", turn @ grasp.frames, found[np.isfinite(found).all(axis=(1, 2))]
+        "nij,mnj->mni", turn @ grasp.frames, optimal[np.isfinite(optimal).all(axis=(1, 2))]
     ).reshape(-1, 3 * count)
     carried = forces - forces @ span @ span.T
     parts = [(part.reshape(-1, count, 3) ** 2).sum(axis=(0, 2)) for part in (carried, forces)]

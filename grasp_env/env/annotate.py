@@ -84,7 +84,8 @@ class Annotator:
         config = self._config
         wrenches = _wrenches(plan, scene)
         pull, moment = (
-            float(np.linalg.norm(part, axis=1).max()) for part in (wrenches[:, :3], wrenches[:, 3:])
+            float(np.linalg.norm(vectors, axis=1).max())
+            for vectors in (wrenches[:, :3], wrenches[:, 3:])
         )
         force = config.pictures.force or max(
             _largest(config, scene, wrenches, friction), WRENCH_STRETCH * pull
@@ -139,7 +140,7 @@ def title(config: EnvConfig) -> str:
     name = name_of(config.disturbance)
     disturbance = DISTURBANCES.get(name, name).strip("_").replace("_", " ")
     what = [
-        each for each in (config.task.caption.format_map(vars(config.task)), disturbance) if each
+        text for text in (config.task.caption.format_map(vars(config.task)), disturbance) if text
     ]
     return f"{config.task.name.replace('_', ' ')}{': ' if what else ''}{', '.join(what)}"
 
@@ -163,8 +164,8 @@ def _largest(config: EnvConfig, scene: Scene, wrenches: Array, friction: float) 
     if config.controller.kind != "optimized":
         return config.controller.squeeze / len(points)
     arm = float(np.linalg.norm(points, axis=1).mean())
-    asked = np.linalg.norm(wrenches[:, :3], axis=1) + np.linalg.norm(wrenches[:, 3:], axis=1) / arm
-    worst = int(asked.argmax())
+    loads = np.linalg.norm(wrenches[:, :3], axis=1) + np.linalg.norm(wrenches[:, 3:], axis=1) / arm
+    worst = int(loads.argmax())
     try:
         grasp = Grasp.from_contacts(points, scene.config.contact_normals, friction)
         solution = optimize_force(
@@ -175,4 +176,4 @@ def _largest(config: EnvConfig, scene: Scene, wrenches: Array, friction: float) 
         )
         return float(np.linalg.norm(solution.force, axis=1).max())
     except GraspError:  # two fingers, which need torsion: each holds half of the wrench by friction
-        return 0.5 * asked[worst] / friction
+        return 0.5 * loads[worst] / friction

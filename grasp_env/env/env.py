@@ -469,9 +469,9 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     def _simulate(self, scene: Scene, numbers: list[float]) -> None:
         agent, loop = self.config.agent, self._loop
         loop.begin_step()
-        adjustment = given = None
+        adjustment = forces = None
         if agent.action_mode == "contact_force":
-            given = self._forces(np.array(numbers))
+            forces = self._forces(np.array(numbers))
         elif (
             agent.action_mode == "initial_force" and any(numbers) and loop.count > 2
         ):  # the one squeeze of two soft contacts is not adjusted
@@ -488,7 +488,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
             if acts:
                 assumed_gravity = self._assumed_gravity(scene)
             torques = loop.tick(
-                external, assumed_gravity, self._targets[tick], k == 0, adjustment, given
+                external, assumed_gravity, self._targets[tick], k == 0, adjustment, forces
             )
             scene.advance(self._delivered(torques) if self._imperfect_motors else torques, push)
             self._tick += 1
@@ -670,10 +670,10 @@ def finish(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
     `max_episode_steps` sets the length of an episode, shorter or longer than the task's. Warn if
     actions change nothing.
     """
-    made, layer = env.unwrapped, env
-    if not isinstance(made, FourFingerGrasp):
+    inner, layer = env.unwrapped, env
+    if not isinstance(inner, FourFingerGrasp):
         return env
-    if reason := why_idle(made.config):
+    if reason := why_idle(inner.config):
         warn(
             f"an agent's actions change nothing: {reason}. Leave the method at 'reduced_flow' for an agent that adjusts its start, "
             "give it the forces with action_mode='contact_force', or say action_mode='none'"
@@ -681,8 +681,8 @@ def finish(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
     while isinstance(layer, gym.Wrapper):
         if isinstance(layer, gym.wrappers.TimeLimit):
             # `layer.spec` has it, too, but keeps the old settings
-            made.truncate_after(layer._max_episode_steps)
+            inner.truncate_after(layer._max_episode_steps)
         layer = layer.env
-    if made.spec is not None:  # `gym.make` of this specification completes the environment, too
-        made.spec = replace(made.spec, additional_wrappers=(FINISH,))
+    if inner.spec is not None:  # `gym.make` of this specification completes the environment, too
+        inner.spec = replace(inner.spec, additional_wrappers=(FINISH,))
     return env

@@ -77,12 +77,12 @@ def disturb(
     what = f"the disturbance {name_of(rule) or shown(rule)}"
     rows = len(times)
     takes = "a disturbance takes (times, rng, settings) and returns (T, 6) wrenches [N, N m], a row per tick"
-    made = call_user(rule, times.copy(), rng, settings, what=what, takes=takes)
-    if made is None:
+    result = call_user(rule, times.copy(), rng, settings, what=what, takes=takes)
+    if result is None:
         raise InvalidInputError(
             f"what {what} returns must be (T, 6) wrenches [N, N m] or a Disturbed, got None: does it end in a return?"
         )
-    acts = made if isinstance(made, Disturbed) else Disturbed(made)
+    acts = result if isinstance(result, Disturbed) else Disturbed(result)
     wrench = np.zeros((rows, 6))
     gravity = np.tile(settings.gravity, (rows, 1))
     if acts.wrench is not None:
@@ -235,13 +235,13 @@ class Impulses(DisturbanceSettings):
             peaks.append(direction.reshape(_BLOCK, 6))
             reached += float(steps[-1].sum())
         starts = np.cumsum(np.concatenate(steps))
-        given = np.concatenate(peaks) * (2.0 * length / np.pi)
-        before = np.cumsum(given, axis=0) - given
+        impulses = np.concatenate(peaks) * (2.0 * length / np.pi)
+        before = np.cumsum(impulses, axis=0) - impulses
         edges = np.arange(len(times) + 1) * tick
         last = np.searchsorted(starts, edges, side="right") - 1
-        part = 0.5 - 0.5 * np.cos(np.pi * np.clip((edges - starts[last]) / length, 0.0, 1.0))
+        share = 0.5 - 0.5 * np.cos(np.pi * np.clip((edges - starts[last]) / length, 0.0, 1.0))
         return np.ascontiguousarray(
-            np.diff(before[last] + part[:, None] * given[last], axis=0) / tick
+            np.diff(before[last] + share[:, None] * impulses[last], axis=0) / tick
         )
 
 
@@ -277,8 +277,8 @@ class TiltingGravity(DisturbanceSettings):
 
 
 DISTURBANCES: dict[str, type[DisturbanceSettings]] = {
-    made.name: made
-    for made in (NoDisturbance, ConstantWrench, PaperPath, RandomWrench, Impulses, TiltingGravity)
+    kind.name: kind
+    for kind in (NoDisturbance, ConstantWrench, PaperPath, RandomWrench, Impulses, TiltingGravity)
 }
 """The built-in disturbances, by name."""
 DISTURBANCE = any_of(

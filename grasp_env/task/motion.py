@@ -86,8 +86,8 @@ def motion_target(motion: str, times: Array, size: float, period: float) -> Arra
         target[:, ANGULAR.start + 2], target[:, ANGULAR_ACCELERATION.start + 2] = path[1], path[2]
     else:
         axis = 0 if motion == "shake" else 1
-        for part, values in zip((POSITION, LINEAR, LINEAR_ACCELERATION), path, strict=True):
-            target[:, part.start + axis] = values
+        for columns, values in zip((POSITION, LINEAR, LINEAR_ACCELERATION), path, strict=True):
+            target[:, columns.start + axis] = values
     return target
 
 
