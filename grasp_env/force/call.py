@@ -15,9 +15,7 @@ from grasp_env.inputs.arguments import AllFaults, as_array
 
 
 class Call(NamedTuple):
-    """Arrays of a call in the order of the core's arguments, or None for the optimizer's own; see
-    `ForceOptimizer.solve`.
-    """
+    """Arrays of `ForceOptimizer.solve` in the core's order; None: the optimizer's own."""
 
     positions: Any
     normals: Any
@@ -37,8 +35,9 @@ def checked_call(
     torque_bias: Any = None,
     contacts: Any = None,
 ) -> Call:
-    """Check the arguments of a call of `ForceOptimizer.solve` on its contacts, and on limits whose
-    Jacobian has the shape (N, *motions).
+    """Check the arguments of `ForceOptimizer.solve`.
+
+    Limits have a Jacobian of shape (N, *motions).
     """
     n = grasp.n_contacts
     joints = motions[1]
@@ -92,8 +91,10 @@ def _mask(contacts: Any, count: int) -> Any:
 
 
 def touching_grasp(grasp: Grasp, call: Call) -> Grasp:
-    """Return the touching contacts of a call as a grasp; a `RankDeficientGraspError` if no contact
-    touches.
+    """Return the touching contacts of a call as a grasp.
+
+    Raises:
+        RankDeficientGraspError: no contact touches.
     """
     positions, normals, friction, _, _, mask = call
     if mask is not None and not mask.any():

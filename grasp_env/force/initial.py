@@ -1,6 +1,4 @@
-"""Initial-force rules: callables rule(grasp, wrench) -> (N, 3) force, balanced and strictly inside
-the friction cones.
-"""
+"""Initial-force rules: rule(grasp, wrench) -> (N, 3) force, balanced and inside the cones."""
 
 from __future__ import annotations
 
@@ -35,8 +33,9 @@ the imbalance."""
 
 
 class InitialForceRule(Protocol):
-    """An initial-force rule: rule(grasp, wrench) -> force (N, 3) [N], balanced and strictly inside
-    the cones.
+    """An initial-force rule: rule(grasp, wrench) -> force (N, 3) [N].
+
+    The force is balanced and strictly inside the cones.
 
     Any function with this signature will do. It receives the `Grasp` and the external wrench (6,)
     [N, N m], and raises `InfeasibleStartError` if it finds no such force.
@@ -110,9 +109,7 @@ def rule_name(rule: Any) -> str:
 
 
 def call_rule(rule: Any, function: Callable[..., Any], *args: Any) -> Any:
-    """Call a user's rule; any failure becomes an `InfeasibleStartError`, whose `__cause__` is the
-    rule's own error.
-    """
+    """Call a user's rule; any failure becomes an `InfeasibleStartError`, with it as `__cause__`."""
     takes = (
         "a rule takes (grasp, wrench) and returns an (N, 3) force, or raises InfeasibleStartError"
     )
@@ -171,8 +168,10 @@ def checked_initial(initial: Any) -> Any:
 
 
 def rule_start(initial: Any, grasp: Grasp, wrench: Wrench, objective: Objective) -> StartRequest:
-    """Return the start made by a rule or by a given force (N, 3) [N]; an `InfeasibleStartError` if
-    the rule returns none.
+    """Return the start that a rule makes, or that is a given force (N, 3) [N].
+
+    Raises:
+        InfeasibleStartError: the rule returns none.
     """
     if isinstance(initial, np.ndarray | list | tuple):
         return StartRequest(GIVEN, "given", force=_force("given", initial, grasp))

@@ -169,9 +169,7 @@ class ForceLimits:
         return 0 if self.jacobian is None else np.asarray(self.jacobian).shape[2]
 
     def labels(self, n_contacts: int) -> tuple[str, ...]:
-        """Return (M,) descriptions of the finite limits of `n_contacts` contacts, in the order of
-        `rows`.
-        """
+        """Return (M,) descriptions of the finite limits of `n_contacts` contacts, as in `rows`."""
         least, most, _, limit, _ = self.checked(n_contacts)
         out = [
             f"contact {k}: normal >= {least[k]:g} N"
@@ -183,8 +181,9 @@ class ForceLimits:
         return tuple(out)
 
     def slack(self, grasp: Grasp, force: ArrayLike, torsion: ArrayLike | None = None) -> LimitSlack:
-        """Return the distances from the limits of `force` (N, 3) [N] and `torsion` (N,) [N m]
-        (None: zero) on the contacts of `grasp`.
+        """Return the distances of `force` (N, 3) [N] on `grasp` from the limits.
+
+        `torsion` is (N,) [N m]; None: zero.
         """
         least, most, jac, limit, bias = self.checked(as_grasp(grasp).n_contacts)
         forces = _with_torsion(grasp, force, torsion)
@@ -232,8 +231,9 @@ class ForceLimits:
         torsion: ArrayLike | None = None,
         tolerance: float = 1e-9,
     ) -> list[str]:
-        """Return one message for each limit that `force` and `torsion` on `grasp`, see `slack`,
-        exceed by more than `tolerance` [N, N m].
+        """Return a message for each limit that the forces exceed by more than `tolerance` [N, N m].
+
+        `grasp`, `force` and `torsion` are those of `slack`.
         """
         matrix, bound, labels = self.rows(grasp)
         tolerance = number(tolerance, "tolerance", ranges.NOT_NEGATIVE)
@@ -251,9 +251,7 @@ def as_limits(value: object) -> ForceLimits | None:
 
 
 def given_limits(limits: ForceLimits | None, n_contacts: int) -> tuple[Any, ...] | None:
-    """Return the limits of `n_contacts` contacts for the core, in the order of `LimitArrays`, each
-    None if it was not given; None without limits.
-    """
+    """Return the limits for the core, in the order of `LimitArrays`; None: not given."""
     if limits is None:
         return None
     arrays: Any = vars(limits)  # arrays after __post_init__
@@ -269,9 +267,7 @@ def given_limits(limits: ForceLimits | None, n_contacts: int) -> tuple[Any, ...]
 
 
 def _in_contact_frames(grasp: Grasp, jacobian: Array) -> Array:
-    """Return (N, 4, J) from (N, 6, J): velocity along (normal, o, t) and angular velocity about the
-    normal.
-    """
+    """Return (N, 4, J) from (N, 6, J): velocity along (normal, o, t), rate about the normal."""
     turned = np.einsum("nik,nij->nkj", grasp.frames, jacobian[:, :3])
     about = np.einsum("ni,nij->nj", grasp.normals, jacobian[:, 3:])
     return np.concatenate([turned, about[:, None]], axis=1)
@@ -289,9 +285,7 @@ def _with_torsion(grasp: Grasp, force: ArrayLike, torsion: ArrayLike | None) -> 
 
 
 def _bound(value: ArrayLike, name: str, of: str, within: ranges.Range) -> Array:
-    """Return a number or a vector of limits; inf means no limit, except for `min_normal`, the only
-    limit whose range starts at 0.
-    """
+    """Return a number or a vector of limits; inf means no limit, but not for `min_normal`."""
     unlimited = within.low > 0.0
     try:
         array = as_array(value, None, name, finite=False)

@@ -285,11 +285,11 @@ class ForceOptimizer:
 
     @previous.setter
     def previous(self, solution: ForceSolution | None) -> None:
-        given = instance(solution, ForceSolution, "previous", or_none=True)
-        if given is None:
+        instance(solution, ForceSolution, "previous", or_none=True)
+        if solution is None:
             self.forget()
         else:
-            self.core.remember(self._checked_previous(given))
+            self.core.remember(self._checked_previous(solution))
 
     def forget(self) -> None:
         """Drop the previous solution."""
@@ -402,8 +402,9 @@ class ForceOptimizer:
         contacts: ArrayLike | None = None,
         initial: Initial | None = None,
     ) -> ContactForces:
-        """Return the initial force (N, 3) [N] of `solve`, which documents wrench, positions,
-        normals, friction, contacts and initial.
+        """Return the initial force (N, 3) [N] of `solve`.
+
+        `solve` documents wrench, positions, normals, friction, contacts and initial.
 
         Raises:
             UnsupportedProblemError: the method takes no initial force.
@@ -433,8 +434,9 @@ class ForceOptimizer:
         return solution.initial_force.copy(), start.replaced or solution.start_replaced
 
     def solve_many(self, wrenches: ArrayLike, *, workers: int | None = None) -> ForceSolutions:
-        """Optimise the forces for many wrenches (M, 6) [N, N m], independently of each other, on
-        `workers` threads; see `optimize_forces`.
+        """Optimise the forces for many wrenches (M, 6) [N, N m] on `workers` threads.
+
+        The problems are independent; see `optimize_forces`.
         """
         return solve_many(self, *checked_batch(wrenches, workers))
 
@@ -447,10 +449,9 @@ class ForceOptimizer:
         jacobian: ArrayLike | None = None,
         torque_bias: ArrayLike | None = None,
     ) -> None:
-        """Replace positions, normals, friction, jacobian or torque_bias of the constructor, see
-        `solve`; those left out stay.
+        """Replace arguments of the constructor; those left out stay.
 
-        The 12-basis is computed again if the start needs it.
+        `solve` documents positions, normals, friction, jacobian and torque_bias. The 12-basis is computed again if the start needs it.
 
         Raises:
             InvalidInputError, RankDeficientGraspError: see `solve`; the optimizer is unchanged.
@@ -486,9 +487,7 @@ class ForceOptimizer:
         )
 
     def _start(self, wrench: Wrench, now: Call, initial: Initial | None) -> StartRequest:
-        """Return the start of a call; an `InfeasibleStartError` if a rule fails, or returns no
-        force.
-        """
+        """Return the start of a call; an `InfeasibleStartError` if a rule fails."""
         requested: Any = self._initial if initial is None else checked_initial(initial)
         if requested is None or self.method == "conic":
             return OWN_START

@@ -31,9 +31,7 @@ CONIC_TOLERANCE = 1e-6
 
 @dataclass(frozen=True)
 class Options:
-    """Checked settings of a `ForceOptimizer`, made by `checked_options`; see `ForceOptimizer` for
-    their meaning.
-    """
+    """Checked settings of a `ForceOptimizer`, which documents them."""
 
     method: str
     criterion: str
@@ -50,8 +48,9 @@ class Options:
 
 
 def checked_options(*settings: Any) -> Options:
-    """Return the checked keywords of an optimizer, in the order of its signature; cached, since the
-    checks take longer than a solve.
+    """Return the checked keywords of an optimizer, in the order of its signature.
+
+    They are cached, since the checks take longer than a solve.
     """
     try:
         return _cached(*settings)

@@ -23,9 +23,7 @@ MOST_NAMED = 6
 
 
 def contact_motions(grasp: Grasp, twist: Array) -> Array:
-    """Return q = G^T v, (N, 4): the velocity of each contact along normal, o and t, and its rate of
-    turning about the normal.
-    """
+    """Return q = G^T v, (N, 4): contact velocity along normal, o, t, and rate about the normal."""
     return np.concatenate(
         [(twist @ grasp.matrix).reshape(-1, 3), (twist @ grasp.torsion_matrix)[:, None]], axis=1
     )
@@ -78,9 +76,7 @@ def explain(solution: ForceSolution, grasp: Grasp | None, limits: ForceLimits | 
 
 
 def transmitted_matrix(grasp: Grasp) -> Array:
-    """Return G (6, 4N) of the forces and torsions that the contacts transmit; the other columns are
-    zero.
-    """
+    """Return G (6, 4N) of transmitted forces and torsions; the other columns are zero."""
     return np.concatenate(
         [grasp.matrix * grasp.models.transmitted.reshape(-1), grasp.torsion_matrix], axis=1
     )
@@ -109,9 +105,7 @@ def _needed(solution: ForceSolution, limits: ForceLimits | None) -> list[str]:
 
 
 def _slipping(solution: ForceSolution, grasp: Grasp, limits: ForceLimits | None) -> list[int]:
-    """Return the contacts that the proof needs to slip; empty if it does not hold for these
-    contacts.
-    """
+    """Return the contacts that the proof needs to slip; none if it does not hold for the grasp."""
     twist = solution.certificate
     if twist is None or grasp.n_contacts != solution.n_contacts:
         return []

@@ -1,5 +1,4 @@
-"""Layout of the row of numbers that a solver writes and `ForceSolution` reads; a batch is a table
-of such rows.
+"""Layout of the row that a solver writes and `ForceSolution` reads; a batch is a table of rows.
 
 The core's `Record` (`core/include/grasp/record.hpp`) defines the layout; the offsets are read from
 the compiled module.

@@ -1,6 +1,4 @@
-"""Repair of a candidate force: balanced, strictly inside the cones, and never worse in Phi than a
-safe force, by construction.
-"""
+"""Repair of a candidate force: balanced, inside the cones, and no worse than a safe force."""
 
 from __future__ import annotations
 
@@ -64,8 +62,7 @@ class Repair:
 
 
 def start_replaced(grasp: Grasp, wrench: Wrench, force: ContactForces) -> bool:
-    """True if a start equals the paper's combination, so that nothing is left of the candidate
-    given to `Repair`.
+    """True if a start equals the paper's combination, so `Repair` has discarded the candidate.
 
     For zero wrench the result is False: there the combination is the optimum itself, which any good
     start may reach. The start is compared with the combination of every 12-basis cached for this
@@ -140,9 +137,7 @@ def carry_over(
 def _started(
     grasp: Grasp, objective: Objective, start: int, wrench: Wrench, force: ContactForces
 ) -> ContactForces:
-    """Return a start of the core from a force (N, 3) [N] that need not be balanced or inside the
-    cones.
-    """
+    """Return a start of the core from a force (N, 3) [N], which need not be balanced or inside."""
     known = _STARTERS.setdefault(grasp, {})
     if objective not in known:
         known[objective] = starter(grasp, objective)

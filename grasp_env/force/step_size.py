@@ -1,5 +1,4 @@
-"""Step rules of the flows: they choose alpha so that Phi decreases and every force stays inside its
-friction cone.
+"""Step rules of the flows: Phi decreases, and every force stays inside its friction cone.
 
 The paper only asks that alpha_k "guarantee the convergence of the objective function". Every rule
 here accepts only points strictly inside the cones with a smaller Phi, and shrinks the step until it
@@ -47,9 +46,9 @@ class _Checked:
     """Base class of the rules: each number lies in its range of `_RANGES`."""
 
     def __post_init__(self) -> None:
-        given = {item.name: getattr(self, item.name) for item in fields(self)}
+        values = {item.name: getattr(self, item.name) for item in fields(self)}
         with AllFaults() as check:
-            for name, value in given.items():
+            for name, value in values.items():
                 kept = (
                     check(choice, value, name, VARIANTS)
                     if name == "variant"
@@ -133,8 +132,7 @@ class AdaptiveStep(_Checked):
 
 @dataclass(frozen=True)
 class BarzilaiBorweinStep(_Checked):
-    """Barzilai and Borwein (1988) in the metric of P: the inverse curvature along the previous
-    step, kept monotone.
+    """Barzilai and Borwein (1988) in the metric of P: inverse curvature, kept monotone.
 
     With s the previous step and y the change of the projected gradient, "long" is <s, s> / <s, y>
     and "short" <s, y> / <y, y>. "alternate" uses the long one after every second step. The first

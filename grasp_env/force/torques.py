@@ -63,8 +63,9 @@ def joint_torques(
 def checked_jacobian(
     jacobian: ArrayLike, count: int | None = None, used: np.ndarray | None = None
 ) -> Array:
-    """Return a Jacobian as (N, 3, J) or (N, 6, J), from that shape or from (3N, J), of `count`
-    contacts (None: any).
+    """Return a Jacobian as (N, 3, J) or (N, 6, J), also from (3N, J).
+
+    It must have `count` contacts (None: any).
 
     Rows of contacts that a mask `used` (N,) leaves out may hold any numbers.
     """

@@ -69,9 +69,7 @@ def advise(grasp: Grasp, wrench: ArrayLike | None = None, limits: Any = None) ->
 
 
 def warn_of_contacts(grasp: Grasp, limits: Any = None) -> None:
-    """Issue a `GraspWarning` about near-certain mistakes in contacts and limits, at the caller's
-    line.
-    """
+    """Warn about near-certain mistakes in contacts and limits, at the caller's line."""
     mistakes = all_outward(grasp) + contact_units(grasp)
     if limits is not None and limits.jacobian is not None:
         mistakes += lever_units(limits.jacobian)
@@ -79,9 +77,7 @@ def warn_of_contacts(grasp: Grasp, limits: Any = None) -> None:
 
 
 def warn_of_wrench(grasp: Grasp, wrench: Wrench) -> None:
-    """Issue a `GraspWarning` about near-certain mistakes in a wrench (6,) float64, at the caller's
-    line.
-    """
+    """Warn about near-certain mistakes in a wrench (6,) float64, at the caller's line."""
     _warn(frame_and_order(grasp, wrench))
 
 

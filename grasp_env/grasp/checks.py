@@ -30,9 +30,7 @@ def checked_points(positions: ArrayLike) -> Array:
 
 
 def normalise_normals(normals: Array) -> None:
-    """Scale normals (N, 3) to unit length in place; raise if the length of one is not within 1 % of
-    one.
-    """
+    """Scale normals (N, 3) to unit length in place; raise if one is more than 1 % off."""
     before = normals.copy()
     worst = normalise(normals)
     if worst >= 0:
@@ -43,8 +41,9 @@ def normalise_normals(normals: Array) -> None:
 
 
 def check_place(count: int, size: float, centre: Array) -> None:
-    """Raise if the contacts are too close together, too far apart, or too far from the origin; one
-    contact may be anywhere.
+    """Raise if contacts are too close together, too far apart, or too far from the origin.
+
+    One contact may be anywhere.
     """
     if count == 0:
         raise InvalidInputError("positions must be those of at least one contact, got none")
@@ -62,9 +61,7 @@ def check_place(count: int, size: float, centre: Array) -> None:
 
 
 def check_torsion(gamma: Array, length: float) -> None:
-    """Raise if torsional friction is implausibly large for the size of the grasp; one contact has
-    no size.
-    """
+    """Raise if torsional friction is too large for the grasp's size; one contact has no size."""
     most = ranges.TORSIONAL_LEVER * length
     if length > 0.0 and (gamma > most).any():
         raise InvalidInputError(
@@ -93,8 +90,9 @@ def rank_of(singular: np.ndarray) -> int:
 
 
 def rank_error(rank: int, count: int, hint: str = "") -> RankDeficientGraspError:
-    """Return the error for what needs contacts that can balance wrenches of every direction; it
-    ends with `hint`.
+    """Return the error for contacts that cannot balance wrenches of every direction.
+
+    It ends with `hint`.
     """
     return RankDeficientGraspError(
         f"rank(G) = {rank} < 6 with {count} contact{'s' * (count != 1)}: some wrenches cannot be balanced. Use at least three contacts "
@@ -103,9 +101,7 @@ def rank_error(rank: int, count: int, hint: str = "") -> RankDeficientGraspError
 
 
 def checked_pseudoinverse(matrix: Array, frame: Array, count: int) -> Array:
-    """Return the least-norm inverse of G (6, K), with its rank decided in the `frame` (6, 6) of
-    unit moments.
-    """
+    """Return the least-norm inverse of G (6, K), with its rank decided in a `frame` (6, 6)."""
     if not (np.isfinite(matrix).all() and np.isfinite(frame).all()):
         raise InvalidInputError(
             "positions, normals and tangents must be finite"

@@ -1,5 +1,4 @@
-"""Contact models: the components that a contact transmits, and the scaling that makes every
-friction cone round.
+"""Contact models: transmitted components, and the scaling that makes friction cones round.
 
 | model | transmits | limits |
 |---|---|---|
@@ -57,9 +56,7 @@ class ContactModels:
         torsional_friction: ArrayLike | None,
         count: int,
     ) -> ContactModels:
-        """Check the models of `count` contacts; see `Grasp.from_contacts` for the arguments and
-        errors.
-        """
+        """Check the models of `count` contacts; see `Grasp.from_contacts`."""
         within = ranges.FRICTION
         if (
             isinstance(models, str)
@@ -108,9 +105,7 @@ class ContactModels:
 
     @cached_property
     def transmitted(self) -> np.ndarray:
-        """(N, 3) bool: the force components (normal, o, t) that the contacts transmit; torsion is
-        that of soft contacts.
-        """
+        """(N, 3) bool: the transmitted force components (normal, o, t); torsion is separate."""
         sent = self.cone_scale > 0.0
         sent.setflags(write=False)
         return sent
@@ -170,8 +165,7 @@ def _each(
     where: str,
     finite: bool = True,
 ) -> Array:
-    """Return numbers of one of some shapes in the last of them, in a range where they are `felt`
-    (N,), else 0.
+    """Return numbers in the last of some shapes, checked where they are `felt` (N,), else 0.
 
     With `finite=False` the others may be infinite or nan.
     """

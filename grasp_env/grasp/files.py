@@ -68,8 +68,9 @@ def save_grasp(grasp: Grasp, path: str | Path) -> Path:
 
 
 def load_grasp(path: str | Path) -> Grasp:
-    """Read a grasp from the JSON file at `path`, whose keys are those of `Grasp.from_contacts`; see
-    the top of this module.
+    """Read a grasp from the JSON file at `path`, with the keys of `Grasp.from_contacts`.
+
+    The top of this module has an example.
 
     If `schema` and `units` are given, they must be those of this version.
 
@@ -124,8 +125,9 @@ def _described(grasp: Grasp) -> dict[str, Any]:
 
 
 def _read(file: Path) -> dict[str, Any]:
-    """Return the keys and values of a file with a valid header; integers become floats, so huge
-    ones become inf.
+    """Return the keys and values of a file with a valid header.
+
+    Integers become floats, so huge ones become inf.
     """
     values = read_json(
         file, GraspFileError, "grasp file", _MAX_BYTES, parse_int=float, object_pairs_hook=_unique

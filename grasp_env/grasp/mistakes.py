@@ -1,5 +1,6 @@
-"""Rules that find common mistakes in contacts, limits and wrenches: wrong units, signs and frames
-solve as well as right ones.
+"""Rules that find common mistakes in contacts, limits and wrenches.
+
+A problem with wrong units, signs or frames is solved without complaint.
 
 Rules that can be near certain take a few microseconds while they find nothing, because every
 `optimize_force` asks them. They read `Grasp.contacts`, which is faster than the attributes of a new
@@ -78,8 +79,7 @@ def all_outward(grasp: Grasp) -> list[Mistake]:
 
 
 def some_outward(grasp: Grasp) -> list[Mistake]:
-    """Judge normals of which some point away from the centre, if the fingers could squeeze with
-    these turned round.
+    """Judge normals of which some point outwards, if turning these round allows a squeeze.
 
     Turning all normals round never changes force closure.
     """
@@ -155,9 +155,7 @@ def lever_units(jacobian: Array) -> list[Mistake]:
 
 
 def frame_and_order(grasp: Grasp, wrench: Wrench) -> list[Mistake]:
-    """Judge the point about which a wrench (6,) has its moment, and the order and units of its
-    force and moment.
-    """
+    """Judge the reference point of a wrench's moment, and the order and units of the wrench."""
     size = grasp.contacts.length
     mistakes = []
     force, moment, turning, distance = _sizes(grasp, wrench)
@@ -197,9 +195,7 @@ def frame_and_order(grasp: Grasp, wrench: Wrench) -> list[Mistake]:
 
 
 def _sizes(grasp: Grasp, wrench: Wrench) -> tuple[float, float, float, float]:
-    """Return the magnitudes of the force [N], of the moment, of that about the contacts' centre [N
-    m], and the centre's distance [m].
-    """
+    """Return |force|, |moment|, |moment about the contacts' centre| and |centre| [N, N m, m]."""
     (fx, fy, fz, mx, my, mz), (x, y, z) = wrench.tolist(), grasp.contacts.centre.tolist()
     turning = hypot(mx - (y * fz - z * fy), my - (z * fx - x * fz), mz - (x * fy - y * fx))
     return hypot(fx, fy, fz), hypot(mx, my, mz), turning, hypot(x, y, z)
@@ -208,9 +204,7 @@ def _sizes(grasp: Grasp, wrench: Wrench) -> tuple[float, float, float, float]:
 def torque_units(
     grasp: Grasp, wrench: Wrench, jacobian: Array, torque_limit: Array
 ) -> list[Mistake]:
-    """Judge the units of torque limits (J,), given J^T f of the force that the wrench needs without
-    them.
-    """
+    """Judge the units of torque limits (J,) by the torques that the wrench needs."""
     force, _, turning, _ = _sizes(grasp, wrench)
     # a single contact has no length
     if force * grasp.length + turning < SMALLEST_LOAD * grasp.length:
@@ -279,9 +273,7 @@ def condition(grasp: Grasp) -> list[Mistake]:
 
 
 def _condition_number(grasp: Grasp, about: Array) -> float:
-    """Return the condition number of G, with moments taken about `about` (3,) [m] and divided by
-    the grasp's length.
-    """
+    """Return the condition number of G, moments about `about` (3,) [m] divided by the length."""
     matrix = grasp.matrix * grasp.models.transmitted.reshape(-1)
     whole = np.concatenate([matrix, grasp.torsion_matrix * grasp.length], axis=1)
     whole[3:] -= np.cross(about, whole[:3].T).T

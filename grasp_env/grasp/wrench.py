@@ -45,8 +45,7 @@ def paper_path(time: ArrayLike) -> Array:
 
 
 def magnitude(wrench: Array, length: float = MAGNITUDE_LENGTH) -> Array:
-    """Return |(force, moment / length)| (...,) [N] of `wrench` (..., 6) [N, N m], with a `length`
-    [m] that converts moments to forces.
+    """Return |(force, moment / length)| (...,) [N] of `wrench` (..., 6) [N, N m].
 
     Example:
         >>> float(magnitude([3, 0, 0, 0, 0, 0.2]))
@@ -62,8 +61,7 @@ def magnitude(wrench: Array, length: float = MAGNITUDE_LENGTH) -> Array:
 def sample_ball(
     rng: np.random.Generator, count: int, force: float = FORCE_RADIUS, moment: float = MOMENT_RADIUS
 ):
-    """Draw (count, 6) wrenches by `rng`, forces and moments uniform in balls of radius `force` [N]
-    and `moment` [N m].
+    """Draw (count, 6) wrenches by `rng`, uniform in balls of radius `force` [N], `moment` [N m].
 
     Example:
         >>> sample_ball(np.random.default_rng(0), 100).shape
@@ -78,8 +76,7 @@ def sample_ball(
 def sample_magnitudes(
     rng: np.random.Generator, count: int, low: float = 0.1, high: float = 20.0
 ) -> Array:
-    """Draw (count, 6) wrenches by `rng`, directions uniform on the 6-sphere of (force, moment /
-    0.05 m).
+    """Draw (count, 6) wrenches by `rng`, uniform directions of (force, moment / 0.05 m).
 
     Their `magnitude` is log-uniform from `low` to `high` [N].
 

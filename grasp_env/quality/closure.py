@@ -1,5 +1,4 @@
-"""Force closure: existence of an internal force strictly inside all friction cones, with a proof
-either way.
+"""Force closure: an internal force strictly inside all friction cones, or a disproof.
 
 If rank(G) = 6, such an internal force exists exactly if every wrench can be balanced (Murray, Li,
 Sastry 1994, Prop. 5.2; Nguyen 1988). With a lower rank there is no closure. The cones are exact,
@@ -151,9 +150,7 @@ def _rank_lost(grasp: Grasp) -> ForceClosure:
 
 
 def _dual_violation(grasp: Grasp, twist: Array) -> float:
-    """Return the largest violation of the dual cones, relative to the largest G_i^T v; inf if v
-    moves no contact.
-    """
+    """Return the violation of the dual cones relative to the largest G_i^T v; inf if that is 0."""
     q = contact_motions(grasp, twist)
     normal = q[:, 0]
     least = least_normal_motions(grasp, q)

@@ -1,6 +1,4 @@
-"""Feasibility of a wrench: the balanced force with the largest margin, or the twist that proves
-that there is none.
-"""
+"""Feasibility of a wrench: the balanced force with the largest margin, or a separating twist."""
 
 from __future__ import annotations
 
@@ -66,8 +64,7 @@ class Deepest(NamedTuple):
 
 
 def feasibility(grasp: Grasp, wrench: Wrench, limits: ForceLimits | None = None) -> Feasibility:
-    """Find the balanced force with the largest margin to cones and limits, or prove that there is
-    none.
+    """Find the balanced force with the largest margin to cones and limits, or disprove it.
 
     The core maximises the depth m subject to sum u + r = 1 and m <= r. Here r scales the wrench, x
     / r is the force, and every cone and limit has at least the slack m. This problem always has a

@@ -104,10 +104,7 @@ class WrenchBall:
         return parts.sum(axis=1) if self.shape == "product" else np.sqrt((parts**2).sum(axis=1))
 
     def farthest(self, direction: Array) -> Wrench:
-        """Return the wrench (6,) of the ball with the largest n .
-
-        w, where n is `direction` (6,).
-        """
+        """Return the wrench w (6,) of the ball with the largest n . w, n being `direction` (6,)."""
         parts = (direction * self.radii).reshape(2, 3)
         sizes = np.sqrt((parts**2).sum(axis=1, keepdims=True))
         size = sizes if self.shape == "product" else np.sqrt((sizes**2).sum())
@@ -154,8 +151,9 @@ class WorstCase(NamedTuple):
 
     @property
     def least_force(self) -> float:
-        """Cost of `wrench` [N]: the smallest sum or maximum of the normal forces, to the solver's
-        tolerance; inf if infeasible.
+        """Cost of `wrench` [N] to the solver's tolerance; inf if infeasible.
+
+        It is the smallest sum or maximum of the normal forces.
         """
         return self.lower if self.solution is None else self.solution.objective
 
@@ -270,9 +268,9 @@ def _solved(optimizer: ForceOptimizer, wrench: Wrench) -> WorstCase:
 
 
 def _ascended(optimizer: ForceOptimizer, ball: WrenchBall, wrench: Wrench) -> WorstCase:
-    """Replace w by the wrench of the ball with the largest -n .
+    """Replace w by the wrench of the ball with the largest -n . w until the bound stops rising.
 
-    w, for the multipliers n at w, until the bound stops rising.
+    n are the multipliers at w.
     """
     best = _solved(optimizer, wrench)
     for _ in range(50):
@@ -293,8 +291,9 @@ def _enclosed(
     points: int,
     rng: np.random.Generator,
 ) -> WorstCase:
-    """Refine the upper bound by a growing inner hull, for a grasp with force closure; wrenches are
-    scaled to a unit ball.
+    """Refine the upper bound by a growing inner hull, for a grasp with force closure.
+
+    Wrenches are scaled to a unit ball.
     """
     grasp = optimizer.grasp
     criterion = optimizer.options.criterion
@@ -357,9 +356,9 @@ def _within_limits(optimizer: ForceOptimizer, ball: WrenchBall, best: WorstCase)
 
 
 def _largest_wrenches(grasp: Grasp, directions: Array, criterion: str) -> tuple[Array, Array]:
-    """Return h(n) = max n .
+    """Return h(n) (K,) and the maximising wrenches G f (K, 6) for the rows n (K, 6).
 
-    G f over forces of size <= 1, (K,), and the maximising wrenches G f, (K, 6), for n (K, 6).
+    h(n) = max n . G f over the forces of size <= 1.
     """
     models, count = grasp.models, grasp.n_contacts
     work = (directions @ grasp.matrix).reshape(-1, count, 3)
