@@ -1,7 +1,7 @@
 """All errors of the project.
 
 Every class also derives from the matching builtin, so `except ValueError` and `except KeyError`
-work. A message tells what was given, what is allowed and how to mend it.
+work. A message tells what was given, what is allowed and how to repair it.
 """
 
 from __future__ import annotations
@@ -64,8 +64,7 @@ def shown(value: object) -> str:
 
 
 def alike(given: object, allowed: Iterable[str]) -> str:
-    """Return the question whether the allowed name most like the given one was meant; empty if none
-    is like it.
+    """Return " did you mean NAME?" for the allowed name closest to the given one, or "".
 
     Example:
         >>> alike("Newtn", ["conic", "newton"]), alike("simplex", ["conic", "newton"])
@@ -163,9 +162,7 @@ class InfeasibleWrenchError(GraspError):
     def __init__(
         self, message: str, solution: Any = None, tell: Callable[[], str] | None = None
     ) -> None:
-        """Make the error; with an empty `message` the text is `tell()`, which costs a control loop
-        nothing until it is read.
-        """
+        """`tell` builds an empty `message` on first use, so raising is cheap in a control loop."""
         super().__init__(message)
         self.solution, self._tell = solution, tell
 
@@ -178,9 +175,7 @@ class InfeasibleWrenchError(GraspError):
 
 
 class UnsupportedProblemError(GraspError):
-    """The method does not support this kind of contact, limit or option; the message names one that
-    does.
-    """
+    """The method does not support a contact, limit or option; the message names one that does."""
 
 
 class InfeasibleStartError(GraspError):
@@ -188,8 +183,9 @@ class InfeasibleStartError(GraspError):
 
 
 class NotConvergedError(GraspError, RuntimeError):
-    """A solution did not reach its tolerance; besides the `message` it has the `ForceSolution`,
-    `solution`, if there is one.
+    """A solution did not reach its tolerance.
+
+    Besides the `message` it has the `ForceSolution`, `solution`, if there is one.
     """
 
     def __init__(self, message: str, solution: Any = None) -> None:

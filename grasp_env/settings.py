@@ -122,13 +122,13 @@ class Settings:
         self.agree()
 
     def agree(self) -> None:
-        """Raise an error if values that are valid alone contradict each other; called after each is
-        checked and converted.
+        """Raise an error if values that are valid alone contradict each other.
+
+        It is called after all of them are checked and converted.
         """
 
     def replaced(self: S, given: Mapping[str, Any], path: str = "") -> S:
-        """Return a copy with some settings replaced; `path` of the record, such as "sensors", is
-        for error messages.
+        """Return a copy with some settings replaced; `path` of the record is for error messages.
 
         Raises:
             UnknownSettingError: the record has no setting of that name.
@@ -148,8 +148,9 @@ class Settings:
 def described(
     record: type[Settings], path: str = ""
 ) -> Iterator[tuple[str, type[Settings], About]]:
-    """Yield all settings of a record (itself at a `path`) and of its nested records, in order:
-    path, class, description.
+    """Yield path, class and description of all settings of a record and its nested records.
+
+    `path` is that of the record itself.
     """
     for item in fields(record):
         about = item.metadata[_ABOUT]
@@ -186,9 +187,7 @@ def integer(low: int, high: int = ranges.ITERATIONS) -> Kind:
 def one_of(
     names: Iterable[str], instead: str = "", fits: Callable[[Any], bool] = lambda _: False
 ) -> Kind:
-    """One of several names, or another value that `fits`; `instead` tells in words which, such as
-    "a rule".
-    """
+    """One of several names, or another value that `fits`, which `instead` puts in words."""
     allowed = tuple(names)
 
     def take(value: Any, name: str) -> Any:
@@ -265,8 +264,7 @@ def placed(name: str) -> str:
 
 
 def to_json(value: Any, path: str = "") -> Any:
-    """Return settings as JSON values, as `Kind.write` gives them; a record that is one of several
-    has its name, too.
+    """Return settings as JSON values by `Kind.write`; a record that is one of several has its name.
 
     Values that are not checked yet are written, too: arrays and numbers of numpy, paths, and dicts
     with any of these.

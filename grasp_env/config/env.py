@@ -263,8 +263,7 @@ class EnvConfig(Settings):
         return replace(self, **whole | records)
 
     def resolved(self) -> EnvConfig:
-        """Return a copy with defaults filled in: those of the task, the default engine, and soft
-        contacts for two fingers.
+        """Return a copy with the defaults of the task, the engine and two fingers filled in.
 
         Warns:
             GraspWarning: the torsional friction assumed for two fingers.
@@ -292,8 +291,7 @@ class EnvConfig(Settings):
         )
 
     def drawn(self, rng: np.random.Generator) -> EnvConfig:
-        """Return the settings of one episode: a copy with the randomised settings drawn from its
-        generator.
+        """Return the settings of one episode, with the randomised ones drawn from its generator.
 
         Raises:
             GraspError: a function fails, or returns an invalid value.
@@ -312,8 +310,7 @@ class EnvConfig(Settings):
         return self.hand if isinstance(self.hand, HandDescription) else HANDS[self.hand]()
 
     def to_dict(self) -> dict[str, Any]:
-        """Return all settings as JSON values, with the version of the schema; `as_config` reads
-        them.
+        """Return all settings as JSON values, with the version of the schema, for `as_config`.
 
         Raises:
             InvalidInputError: a function, a start rule, or a record of your own class; these have
@@ -327,8 +324,9 @@ class EnvConfig(Settings):
 
 
 def as_config(config: EnvConfig | dict[str, Any] | str | None) -> EnvConfig:
-    """Return a record, or its `to_dict()` or `to_json()`, as a record; missing settings, and None,
-    have the defaults.
+    """Return settings, their `to_dict()` or their `to_json()` as a record; None: the defaults.
+
+    Settings that are missing have their defaults.
 
     Raises:
         InvalidInputError: not settings, no schema or another one than this version reads, or
@@ -363,8 +361,7 @@ def as_config(config: EnvConfig | dict[str, Any] | str | None) -> EnvConfig:
 
 
 def keywords_to_json(kwargs: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """Return keywords of `gym.make` as JSON values that it accepts as well, and the reasons why
-    some stay as they are.
+    """Return keywords of `gym.make` as JSON values, and why some have no JSON.
 
     Records come first: as a dict, a record would otherwise undo a keyword of one of its settings
     that stands before it. A keyword that is no setting stays as it is.
@@ -395,8 +392,7 @@ def _config_to_json(value: Any) -> tuple[Any, list[str]]:
 
 @cache
 def all_settings() -> dict[str, About]:
-    """Return the description of every setting by its path, in order: "hand", "object",
-    "object.shape", ....
+    """Return the description of every setting by its path, such as "object.shape", in order.
 
     If settings of several records share a path, such as "disturbance.force", the first is kept.
 
@@ -412,9 +408,7 @@ def all_settings() -> dict[str, About]:
 
 
 def _similar(name: str) -> list[str]:
-    """Return settings with names similar to an unknown one: with the same last part, or else with a
-    similar path.
-    """
+    """Return settings with the same last part as an unknown name, or else with a similar path."""
     words = {path.replace(".", "_"): path for path in (*all_settings(), *KEYWORDS)}
     same = [path for path in all_settings() if path.rpartition(".")[2] == name]
     return same or [words[match] for match in get_close_matches(name, words, 3, 0.6)]

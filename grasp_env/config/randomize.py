@@ -93,8 +93,9 @@ RANDOMIZE = Kind(_checked_rules, "names, or dict from paths", write=_written_rul
 
 
 def draw(rules: Mapping[str, Any], shape: str, rng: np.random.Generator) -> dict[str, Any]:
-    """Draw the settings of an episode by path: the numbers of an object of a `shape` first, then
-    the others in the order of the rules.
+    """Draw the settings of an episode by path, first those of an object of a `shape`.
+
+    The other settings follow in the order of the rules.
 
     If one number of the object is drawn, all are drawn, used or not. The later draws then do not
     depend on which ones are used.

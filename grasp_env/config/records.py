@@ -1,6 +1,4 @@
-"""The small records of `EnvConfig`: sensors, solver, controller, agent, reward, episode limits,
-pictures.
-"""
+"""The small records of `EnvConfig`, such as sensors, solver, controller and reward."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""The force loop: contacts and wrench in, joint torques out, at the control rate; optimised once
-per agent step.
-"""
+"""The force loop: contacts and wrench in, joint torques out, at the control rate."""
 
 from __future__ import annotations
 
@@ -90,8 +88,10 @@ class ForceLoop:
         return f"ForceLoop({self.config.solver.method} from {rule_name(self.initial_force)})"
 
     def begin(self, scene: Scene) -> None:
-        """Prepare everything that depends on the object and the grasp; a `GraspError` if the
-        planned contacts cannot hold an object.
+        """Prepare everything that depends on the object and the grasp.
+
+        Raises:
+            GraspError: the planned contacts cannot hold an object.
         """
         item = scene.config.object
         hand = scene.config.hand
@@ -135,18 +135,14 @@ class ForceLoop:
         self.reset()
 
     def grasp(self, points: Array, normals: Array) -> Grasp:
-        """Return the grasp of contacts (N, 3) [m] with inward unit normals (N, 3), object frame,
-        and the assumed friction.
-        """
+        """Return the grasp of points and inward normals (N, 3), with the assumed friction."""
         soft = {"contact_model": "soft", "torsional_friction": self.torsional_friction}
         return Grasp.from_contacts(
             points, normals, self.friction, **soft if self.torsional_friction > 0.0 else {}
         )
 
     def reset(self, rng: np.random.Generator | None = None) -> None:
-        """Forget the episode; `rng` gives the seed of the noise in one draw, whatever the settings
-        (None: keep the current noise).
-        """
+        """Forget the episode; `rng` draws one seed for the noise (None: keep the current noise)."""
         self.scene.look()
         self._core.reset()
         self.settling = self._settling
@@ -159,8 +155,9 @@ class ForceLoop:
 
     @property
     def settling(self) -> bool:
-        """True until the hand has taken over the object; until then every controller uses optimised
-        forces and exact sensors.
+        """True until the hand has taken over the object.
+
+        Until then every controller uses optimised forces and exact sensors.
         """
         return self._settling
 
@@ -175,9 +172,7 @@ class ForceLoop:
 
     @property
     def solution(self) -> ForceSolution | None:
-        """The method's last solution; None before the first one, after a solve without a force, and
-        for controllers without a solver.
-        """
+        """The method's last solution; None if there is none, or no solver."""
         if self._core.code not in RESULTS:
             return None
         row = self._row.copy()
@@ -215,9 +210,7 @@ class ForceLoop:
         return self._core.effort
 
     def costs(self) -> tuple[float, float, float]:
-        """Return force, torque and change of force since `begin_step`, as costs from 0 to 1; see
-        `core.Costs`.
-        """
+        """Return the costs of force, torque and change of force, 0 to 1, since `begin_step`."""
         costs = self._core.costs()
         return costs.force, costs.torque, costs.change
 
@@ -238,8 +231,7 @@ class ForceLoop:
         adjustment: Array | None = None,
         forces: Array | None = None,
     ) -> list[float]:
-        """Run one control tick: read the scene, find the forces, and return the joint torques (M,)
-        [N m] that produce them.
+        """Run one control tick and return the joint torques (M,) [N m].
 
         Args:
             external: (6,) external wrench [N, N m], object frame, as a perfect sensor would measure
@@ -285,8 +277,9 @@ class ForceLoop:
         return torques
 
     def rest(self, external: Array, gravity: Array, target: Array) -> None:
-        """Set the state of the hand at rest, before the first tick: contacts, frames, measured
-        forces as the commanded ones.
+        """Set the state of the hand at rest, before the first tick.
+
+        The measured forces become the commanded ones.
         """
         self._core.see(
             None, external, gravity, target, None if self._noise is None else self._noise()
@@ -295,17 +288,13 @@ class ForceLoop:
         self._core.rewind()
 
     def reach(self, gravity: Array, target: Array) -> list[float]:
-        """Return the joint torques (M,) [N m] of the next control tick, with which all fingers
-        reach for their places.
-        """
+        """Return the torques (M,) [N m] of a tick in which all fingers reach for their places."""
         self._hold(Hold.reach)
         return self.tick(np.zeros(6), gravity, target, False)
 
 
 def adjustment_size(tips: int) -> int:
-    """Return the number of internal forces along which an agent adjusts the start, for a hand with
-    a given number of tips.
-    """
+    """Return the number of internal forces along which an agent adjusts the start."""
     return max(3 * tips - 6, 1)
 
 
@@ -316,8 +305,9 @@ HOLDS = {"optimized": Hold.optimized, "constant_squeeze": Hold.squeeze, "pd": Ho
 def make_optimizer(
     grasp: Grasp, config: EnvConfig, initial_force: str | InitialForceRule
 ) -> ForceOptimizer:
-    """Return the method of the settings for contacts near those of `grasp`; on soft contacts, which
-    the flows do not support, Newton.
+    """Return the configured method for contacts near those of `grasp`.
+
+    On soft contacts, which the flows do not support, Newton replaces them.
     """
     soft = grasp.contacts.soft
     method = config.solver.method
@@ -389,8 +379,9 @@ def control_settings(
 def stable_spring(
     stiffness: float, damping: float, limit: float, mobility: float, dt: float
 ) -> core.Spring:
-    """Return a spring and damper for a given mobility [1/kg], [1/(kg m^2)], soft enough to be
-    stable when sampled every `dt` [s].
+    """Return a spring and damper that are stable when sampled every `dt` [s].
+
+    The mobility is in [1/kg] or [1/(kg m^2)].
     """
     if not mobility > 0.0:
         return core.Spring(0.0, 0.0, limit)
@@ -402,9 +393,7 @@ def stable_spring(
 
 
 def believed_body(config: EnvConfig, item: ObjectDescription) -> core.Body:
-    """Return the object with its pose feedback, critically damped and no faster than the delay of
-    the sensors allows.
-    """
+    """Return the object with critically damped pose feedback, no faster than the delay allows."""
     late = late_ticks(config) / config.controller.rate
     most = MAX_BANDWIDTH / late if late > 0.0 else np.inf
     return critically_damped(

@@ -1,6 +1,4 @@
-"""The part of the contact forces that no motor can produce: the structure of the fingers carries
-it.
-"""
+"""Contact forces that no motor can produce: the structure of the fingers carries them."""
 
 from __future__ import annotations
 
@@ -37,9 +35,7 @@ class FingerStructure(NamedTuple):
     share: Array
 
     def warning(self, names: Sequence[str]) -> str:
-        """Return a warning about fingers, by name, whose structure carries more than `MAX_CARRIED`;
-        empty if there are none.
-        """
+        """Return a warning about fingers whose structure carries more than `MAX_CARRIED`, or ""."""
         listed = ", ".join(
             f"{share:.0%} of the force of {name!r} "
             + (
@@ -62,8 +58,7 @@ class FingerStructure(NamedTuple):
 def finger_structure(
     snapshot: Snapshot, kinematics: HandKinematics, grasp: Grasp, wrenches: Array
 ) -> FingerStructure:
-    """Return the shares of the forces that motors produce and that structure carries, in the
-    current posture.
+    """Return the shares of the forces that structure carries in the current posture.
 
     Contact forces f take the motor torques J^T f. J is the Jacobian of all contacts, with coupled
     joints and motors that several fingers share. The part of f in the null space of J^T takes no

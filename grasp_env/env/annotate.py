@@ -1,6 +1,4 @@
-"""Annotations of an environment's pictures: forces, cones, the wrench to balance, the state of the
-episode; all at one scale.
-"""
+"""Annotations of an environment's pictures: forces, cones, the wrench, the episode's state."""
 
 from __future__ import annotations
 
@@ -61,8 +59,7 @@ _ALIKE = 0.1  # largest difference between colours that count as equal
 
 
 class Annotator:
-    """Makes the annotations of the pictures of one environment, with its `resolved` settings and
-    the hand in its scene.
+    """Makes the annotations of one environment's pictures, with its `resolved` settings.
 
     The scales follow from the largest force and moment in the plan of an episode, known at reset.
     They stay constant within an episode. A later episode with larger forces makes them smaller;
@@ -78,9 +75,7 @@ class Annotator:
         self._scale = self._turn = np.inf
 
     def expect(self, plan: Plan, scene: Scene, friction: float) -> None:
-        """Adapt the scales to the largest arrows of an episode, for the friction coefficient that
-        the controller assumes.
-        """
+        """Adapt the scales to the largest arrows of an episode, at the assumed friction."""
         config = self._config
         wrenches = _wrenches(plan, scene)
         pull, moment = (
@@ -98,8 +93,9 @@ class Annotator:
     def __call__(
         self, loop: ForceLoop, scene: Scene, time: float, outcome: Outcome, failure: str
     ) -> Annotation:
-        """Return the annotation of the current picture, `time` [s] after the reset; `failure` is ""
-        while the object is held.
+        """Return the annotation of the current picture, `time` [s] after the reset.
+
+        `failure` is "" while the object is held.
         """
         snapshot = scene.look()
         solution = loop.solution

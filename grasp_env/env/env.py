@@ -46,8 +46,7 @@ NO_COSTS = (0.0, 0.0, 0.0)
 
 
 class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
-    """Simulated hand whose fingers hold an object against wrenches, or move it along a given
-    motion.
+    """Simulated hand that holds an object against wrenches, or moves it along a given motion.
 
     ## Step
     The agent acts at 50 Hz, the controller at 250 Hz, the physics at that rate or faster (see
@@ -289,8 +288,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Return to the settled grasp, with a new disturbance, and a new object if randomised; see
-        the class.
+        """Return to the settled grasp, with a new disturbance and new randomised settings.
 
         A closed environment opens again.
 
@@ -428,8 +426,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
 
     @property
     def spec(self) -> EnvSpec | None:
-        """The specification that `gym.make` used; its `max_episode_steps` follows from
-        `limits.duration`.
+        """The specification that `gym.make` used; `limits.duration` sets its `max_episode_steps`.
 
         Its keywords are JSON values, except those without JSON, such as functions.
         `gym.make(EnvSpec.from_json(spec.to_json()))` makes the same environment again.
@@ -446,9 +443,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         return GraspSpec(**{**fitting, "max_episode_steps": self._step_limit})
 
     def truncate_after(self, steps: int) -> None:
-        """Truncate episodes after a given number of agent steps from the next reset on, as
-        `max_episode_steps` of `gym.make` does.
-        """
+        """Truncate episodes after `steps` agent steps, from the next reset on."""
         if steps == self._step_limit:
             return
         self.config = self.config.override(
@@ -502,8 +497,11 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         return np.clip(delivered, -self._torque_limits, self._torque_limits).tolist()
 
     def _apply_plan(self, scene: Scene, tick: int) -> tuple[Array, list[float] | None]:
-        """Apply the plan of a tick; return the external wrench (6,), object frame, and the same for
-        the simulator, None if zero.
+        """Apply the plan of a tick and return its wrench (6,), object frame.
+
+        The second value is that of the simulator, None if it is zero.
+
+        The second is for the simulator: it is None if zero.
         """
         plan = self._plan
         if self._gravity_differs:
@@ -521,8 +519,9 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         return external, push
 
     def _assumed_gravity(self, scene: Scene) -> Array:
-        """Return the gravity (3,) [m/s^2] that the controller assumes: the true one if wrenches are
-        measured, else the nominal one.
+        """Return the gravity (3,) [m/s^2] that the controller assumes, true or nominal.
+
+        It is the true one if wrenches are measured.
         """
         return scene.gravity if self._measured_wrench else self._nominal_gravity
 
@@ -568,8 +567,9 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         return [min(max(number, -1.0), 1.0) for number in numbers]
 
     def _forces(self, numbers: Array) -> Array:
-        """Return the forces (N, 3) of an action in mode "contact_force": normal in [0, 2
-        action_scale], tangential in +-action_scale.
+        """Return the forces (N, 3) of an action in mode "contact_force".
+
+        Normal forces lie in [0, 2 action_scale], tangential ones in +-action_scale.
         """
         scale = self.config.agent.action_scale
         forces = scale * numbers.reshape(-1, 3)
@@ -610,9 +610,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         }
 
     def _annotation(self, scene: Scene) -> Annotation | None:
-        """Return the annotation of a picture; None before the first reset and after the simulation
-        diverged.
-        """
+        """Return the annotation of a picture, or None before a reset and after a divergence."""
         if not self._started or self._failure == "simulation_diverged":
             return None
         return self._annotator(
@@ -620,9 +618,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         )
 
     def _report_structure(self, scene: Scene, plan: Plan) -> None:
-        """Compute the fraction of the fingers' forces that no motor can produce under the plan's
-        loads; warn once if it is large.
-        """
+        """Compute the shares of the forces that no motor can produce; warn once about large ones."""
         snapshot = scene.look()
         gravity = plan.gravity[:: self._ticks_per_step]
         loads = plan.wrench[:: self._ticks_per_step].copy()
@@ -646,9 +642,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
 
 
 def why_idle(config: EnvConfig) -> str:
-    """Return the reason why adjusting the initial force changes nothing; empty if it does, or if
-    actions are ignored on purpose.
-    """
+    """Return why adjusting the start changes nothing; "" if it does, or is off on purpose."""
     if config.agent.action_mode != "initial_force":
         return ""
     if config.controller.kind != "optimized":

@@ -34,8 +34,9 @@ class Plan:
 
 
 def make_plan(config: EnvConfig, rng: np.random.Generator, mass: float) -> Plan:
-    """Make the plan of one episode of `resolved` settings, T = round(limits.duration *
-    controller.rate) + 1 rows, for an object of a mass [kg].
+    """Make the plan of one episode of `resolved` settings for an object of a mass [kg].
+
+    It has T = round(limits.duration * controller.rate) + 1 rows.
 
     It draws once from the generator. A seed gives the same disturbance for every duration: a longer
     episode extends a shorter one. (Only the desired motion of "move" depends on the duration, as it

@@ -46,11 +46,10 @@ def as_array(
     copy: bool = True,
     used: np.ndarray | None = None,
 ) -> Array:
-    """Return `value` as a new finite float64 array of `shape` (None: any) with numbers in a range,
-    contiguous and aligned.
+    """Return `value` as a finite, contiguous, aligned float64 array of `shape` (None: any).
 
-    `finite=False` accepts infinities and nan; `copy=False` returns an array that needs no
-    conversion as it is. Rows that a mask `used` (N,) leaves out may hold any numbers.
+    The array is new, and its numbers lie in the range `within`. `finite=False` accepts infinities
+    and nan; `copy=False` returns an array that needs no conversion as it is. Rows that a mask `used` (N,) leaves out may hold any numbers.
     """
     if type(value) is np.ndarray and value.dtype is _FLOAT:
         array = (
@@ -118,9 +117,7 @@ def as_wrench(value: ArrayLike, name: str = "wrench") -> Wrench:
 
 
 def checked_size(wrench: Array, name: str = "wrench") -> Array:
-    """Return finite wrenches (..., 6); raise an `InvalidInputError` for components beyond 1e12 N
-    and N m.
-    """
+    """Return finite wrenches (..., 6), or raise for components beyond 1e12 N and N m."""
     if wrench.size and np.abs(wrench).max() > LARGEST:
         raise InvalidInputError(
             f"{name} must have components up to {LARGEST:g} N and N m, got {shown(wrench)}"
@@ -139,8 +136,9 @@ def as_wrenches(value: ArrayLike) -> Array:
 
 
 def as_number(value: Any) -> float | None:
-    """Return a real number, or an array of one without axes, as a float (infinite if it is too
-    large); None if it is neither.
+    """Return a real number as a float, or None if it is not one.
+
+    An array without axes counts as its number. A number that is too large becomes infinite.
     """
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value.item()
@@ -170,9 +168,7 @@ def number(value: Any, name: str, within: Range = ranges.FINITE) -> float:
 
 
 def whole(value: Any, name: str, least: int, most: int = ranges.SEED) -> int:
-    """Return an integer from `least` to `most`, or raise an `InvalidInputError`; 2.0 is not an
-    integer.
-    """
+    """Return an integer from `least` to `most`, or raise `InvalidInputError`, also for 2.0."""
     is_integer = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not is_integer or not least <= value <= most:
         allowed = f"from {least} to {most}" if is_integer and value > most else f">= {least}"
@@ -209,8 +205,7 @@ def instance(value: Any, kind: type[T], name: str, or_none: bool = False) -> Any
 
 
 class AllFaults:
-    """Collects the faults of several checks and raises them as one error at the end of the `with`
-    block.
+    """Collects the faults of several checks and raises one error at the end of the `with` block.
 
     A single fault is raised as it is, several as an `InvalidInputError` with the texts of all.
     """
@@ -224,9 +219,7 @@ class AllFaults:
         return self
 
     def __call__(self, check: Callable[..., T], *given: Any, **options: Any) -> T:
-        """Return `check(*given, **options)`, or keep its fault and return None, which nobody uses
-        as the block then raises.
-        """
+        """Return `check(*given, **options)`; keep a fault and return None, as the block raises."""
         try:
             return check(*given, **options)
         except GraspError as fault:
@@ -257,9 +250,7 @@ def call_user(
     takes: str,
     fault: type[GraspError] = InvalidInputError,
 ) -> Any:
-    """Call a user's function; any failure becomes a `fault` that names `what` failed and what it
-    `takes`.
-    """
+    """Call a user's function; any failure becomes a `fault` that names `what` and its `takes`."""
     try:
         return function(*args)
     except GraspError:

@@ -88,8 +88,9 @@ HEAD = 4096
 
 
 def stand_in(blob: bytes) -> tuple[str, str]:
-    """Return what a user has in place of a file, such as "web page", and the remedy; "" and "" if
-    it may be the file itself.
+    """Return what a user has in place of a file, such as "web page", and the remedy.
+
+    Both are "" if it may be the file itself.
 
     Example:
         >>> stand_in(b"<!DOCTYPE html>")[0], stand_in(b"<robot/>")[0]
@@ -110,11 +111,10 @@ def parsed(
     hint: str = "",
     most: int = TEXT,
 ) -> Any:
-    """Return `read(bytes of a file)`; any failure becomes an `error`, but errors of this project
-    stay as they are.
+    """Return `read(bytes of a file)`; any failure becomes an `error`.
 
-    `name`, `form` and `hint` are the file's name, its expected content and the remedy, for the
-    message.
+    Errors of this project stay as they are. `name`, `form` and `hint` are the file's name, its
+    expected content and the remedy, for the message.
     """
     try:
         blob = read_bytes(path, most)
@@ -151,8 +151,7 @@ def unpacked(blob: bytes) -> dict[str, np.ndarray]:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give a hidden name beside `path` to write a file or a folder to, which becomes `path` at the
-    end of the block.
+    """Yield a hidden name beside `path`; what is written there becomes `path` after the block.
 
     Readers find the old content or the new one, never a part: not after an interrupt, and not after
     a power cut, because the content is on the disk before it gets its name. Of several writers of a
@@ -232,8 +231,9 @@ def _remove(path: Path) -> None:
 
 
 def file_fault(error: OSError, place: str = "path") -> str:
-    """Return why a file cannot be read or written, and how to mend it; `place` says what else may
-    be chosen.
+    """Return why a file cannot be read or written, and the remedy.
+
+    `place` is what else may be chosen.
 
     Example:
         >>> file_fault(OSError(28, "No space left on device"), "--out"), file_fault(OSError("the encoder failed"))

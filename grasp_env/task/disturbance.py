@@ -1,5 +1,4 @@
-"""Disturbances of the object over an episode: external wrenches and tilting gravity, one row per
-control tick.
+"""Disturbances over an episode: wrenches and tilting gravity, a row per control tick.
 
 A disturbance is called as f(times, rng, settings); it is a record of `DISTURBANCES` or a user's
 function.
@@ -71,8 +70,9 @@ def name_of(disturbance: Disturbance | None) -> str:
 def disturb(
     rule: Disturbance, times: Array, rng: np.random.Generator, settings: Any
 ) -> tuple[Array, Array]:
-    """Return the external wrench (T, 6) [N, N m], object frame, and the gravity (T, 3) [m/s^2],
-    world frame, of a disturbance.
+    """Return the wrench (T, 6) [N, N m] and gravity (T, 3) [m/s^2] of a disturbance.
+
+    The wrench is in the object frame, gravity in the world frame.
     """
     what = f"the disturbance {name_of(rule) or shown(rule)}"
     rows = len(times)
@@ -104,8 +104,7 @@ def disturb(
 
 @dataclass(frozen=True)
 class DisturbanceSettings(Settings):
-    """Base class of the built-in disturbances: records of their settings that are called like a
-    user's function.
+    """Base class of the built-in disturbances: records that are called like a user's function.
 
     Example:
         >>> from grasp_env.config import EnvConfig
@@ -166,9 +165,7 @@ class PaperPath(DisturbanceSettings):
 
 @dataclass(frozen=True)
 class RandomWrench(DisturbanceSettings):
-    """An Ornstein-Uhlenbeck process per axis; it starts at zero, as the hand settled without a
-    wrench.
-    """
+    """An Ornstein-Uhlenbeck process per axis; it starts at zero, as the hand has settled."""
 
     name: ClassVar[str] = "random"
 

@@ -30,8 +30,7 @@ LINEAR_ACCELERATION, ANGULAR_ACCELERATION = slice(13, 16), slice(16, 19)
 
 
 def blend(phase: Array) -> Array:
-    """Return the minimum-jerk step from 0 (phase <= 0) to 1 (phase >= 1) and its first two
-    derivatives by phase, (3, T).
+    """Return the minimum-jerk step from phase 0 to 1 and its first two derivatives, (3, T).
 
     Example:
         >>> blend(np.array([-1.0, 0.5, 2.0]))[0]
@@ -57,8 +56,9 @@ def resting_target(ticks: int) -> Array:
 
 
 def motion_target(motion: str, times: Array, size: float, period: float) -> Array:
-    """Return the object's desired motion: one of `MOTIONS` at times (T,) [s] from 0 on, of a size
-    [m or rad] and a period [s].
+    """Return the object's motion, one of `MOTIONS`, at times (T,) [s] from 0 on.
+
+    `size` is in [m or rad], `period` in [s].
 
     As many whole periods as fit before `times[-1]` are done, then the object rests; if not even one
     fits, it is cut short. A shake reaches its full size if three or more periods fit.
@@ -92,9 +92,7 @@ def motion_target(motion: str, times: Array, size: float, period: float) -> Arra
 
 
 def _there_and_back(times: Array, period: float, repeats: float) -> Array:
-    """Return 0 to 1 in a third of each period, held, and back in the last third, with two
-    derivatives by time: (3, T).
-    """
+    """Return 0 to 1 in a third of each period, held, and back, with derivatives: (3, T)."""
     phase = times / period
     phase = 3.0 * np.where(phase < repeats, phase - np.floor(phase), 0.0)
     rate = 3.0 / period
