@@ -9,8 +9,8 @@ from grasp_env.force.solution import ForceSolution
 from grasp_env.grasp.grasp import Grasp
 from grasp_env.inputs.arguments import Array
 
-NEGLIGIBLE_PRICE = 1e-6
-"""Fraction of the largest price up to which a limit does not count as needed."""
+NEGLIGIBLE_MULTIPLIER = 1e-6
+"""Fraction of the largest multiplier up to which a limit does not count as needed."""
 SLIPPING = 1e-3
 """Relative distance of q_i to the surface of its dual cone up to which contact i counts as
 slipping."""
@@ -66,7 +66,7 @@ def explain(solution: ForceSolution, grasp: Grasp | None, limits: ForceLimits | 
         cones = f" and the friction cone{'s' * (len(slipping) > 1)}{where}" if where else ""
         return (
             f"no force strictly inside the friction cones and limits balances {wrench}; the proof needs the limits {'; '.join(needed)}{cones} "
-            f"({shown} and their prices: error.solution.certificate, .limit_multipliers): widen them (elastic=True returns the force "
+            f"({shown} and their multipliers: error.solution.certificate, .limit_multipliers): widen them (elastic=True returns the force "
             "that exceeds them least), raise the friction, add contacts, or change the wrench"
         )
     return (
@@ -89,7 +89,7 @@ def _moves_contacts(grasp: Grasp, twist: Array) -> bool:
 
 
 def _needed(solution: ForceSolution, limits: ForceLimits | None) -> list[str]:
-    """Return the labels of the limits that a proof needs, the largest price first."""
+    """Return the labels of the limits that a proof needs, the largest multiplier first."""
     multipliers = solution.limit_multipliers
     if limits is None or not len(multipliers) or not multipliers.max() > 0.0:
         return []
@@ -97,7 +97,7 @@ def _needed(solution: ForceSolution, limits: ForceLimits | None) -> list[str]:
     order = [
         k
         for k in np.argsort(-multipliers, kind="stable").tolist()
-        if multipliers[k] > NEGLIGIBLE_PRICE * multipliers.max()
+        if multipliers[k] > NEGLIGIBLE_MULTIPLIER * multipliers.max()
     ]
     return [labels[k] for k in order[:MOST_NAMED]] + [f"and {len(order) - MOST_NAMED} more"] * (
         len(order) > MOST_NAMED

@@ -124,7 +124,7 @@ class ForceSolution(Solution):
         wrench: (6,) the external wrench that `force` balances [N, N m].
         multipliers: (6,) nu of balance: grad objective = G^T nu (+ multipliers of the limits), d
             objective / d wrench = -nu.
-        limit_multipliers: (M,) prices >= 0 of the limits, in the order of
+        limit_multipliers: (M,) multipliers >= 0 of the limits, in the order of
             `ForceOptimizer.limit_labels`; with status INFEASIBLE those of the proof, see
             `certificate`; empty for LIMITS_EXCEEDED.
         has_force: False if the solve found no force; then `force` is zero.
@@ -169,7 +169,7 @@ class ForceSolution(Solution):
         """(6,) the proof of infeasibility with status INFEASIBLE, else None.
 
         It is a twist v with G_i^T v in the dual cone of every contact and v . w > 0. With limits A
-        f <= b and their prices y, `limit_multipliers`, G^T v + A^T y lies in the dual cones and v .
+        f <= b and multipliers y, `limit_multipliers`, G^T v + A^T y lies in the dual cones and v .
         w > y . b. For a zero wrench v . w = 0: no force strictly inside the cones balances itself,
         and the force zero has no finite Phi.
         """
