@@ -1,7 +1,7 @@
 """All errors of the project.
 
 Every class also derives from the matching builtin, so `except ValueError` and `except KeyError`
-work. A message tells what was given, what is allowed and how to repair it.
+work. A message states what was given, what is allowed and the remedy.
 """
 
 from __future__ import annotations
@@ -206,4 +206,4 @@ class MissingExtraError(GraspError, ImportError):
 
 
 class SimulationError(GraspError, RuntimeError):
-    """The simulator diverged, was closed, or cannot do what was asked."""
+    """The simulator diverged, was closed, or does not support the request."""

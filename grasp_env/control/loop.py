@@ -98,13 +98,13 @@ class ForceLoop:
         config = self.config
         self.count = hand.finger_count
         self.scene = scene
-        believed = (
+        factor = (
             hand.tip_friction
             * (1.0 + config.controller.friction_error)
             * config.controller.friction_margin
         )
-        self.friction = item.friction * believed
-        self.torsional_friction = item.torsional_friction * believed
+        self.friction = item.friction * factor
+        self.torsional_friction = item.torsional_friction * factor
         points = np.array(scene.config.contact_points)
         normals = scene.config.contact_normals
         grasp = self.grasp(points, normals)
@@ -194,7 +194,7 @@ class ForceLoop:
 
     @property
     def fingers(self) -> Indices:
-        """Numbers (n,) of the fingers in contact, as far as the controller knows."""
+        """Numbers (n,) of the fingers in contact, as the controller measures them."""
         mask = self._core.mask
         return np.array(
             [finger for finger in range(self.count) if mask >> finger & 1], dtype=np.int64
@@ -237,7 +237,7 @@ class ForceLoop:
             external: (6,) external wrench [N, N m], object frame, as a perfect sensor would measure
                 it.
             gravity: (3,) gravity that the controller assumes [m/s^2], world frame.
-            target: (19,) wanted motion, see `env.plan.Plan`.
+            target: (19,) desired motion, see `env.plan.Plan`.
             due: True at the first tick of an agent's step.
             adjustment: (max(3N - 6, 1),) [N] along internal forces of the planned contacts, added
                 to the start, which is then repaired.

@@ -115,10 +115,10 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     |---|---|---|---|---|---|
     | 0-2 | `force` | wrench to balance: force | N | object | 200 |
     | 3-5 | `moment` | wrench to balance: moment | N m | object | 20 |
-    | 6-8 | `position` | object position minus the wanted one | m | world | 1 |
-    | 9-11 | `orientation` | object orientation against the wanted one | rad | world | 3.2 |
-    | 12-14 | `linear_velocity` | object linear velocity minus the wanted one | m/s | world | 10 |
-    | 15-17 | `angular_velocity` | object angular velocity minus the wanted one | rad/s | world | 50 |
+    | 6-8 | `position` | object position minus the desired one | m | world | 1 |
+    | 9-11 | `orientation` | object orientation against the desired one | rad | world | 3.2 |
+    | 12-14 | `linear_velocity` | object linear velocity minus the desired one | m/s | world | 10 |
+    | 15-17 | `angular_velocity` | object angular velocity minus the desired one | rad/s | world | 50 |
     | 18-29 | `contact_points` | contact point | m | object | 0.5 |
     | 30-41 | `normals` | inward normal | 1 | object | 1 |
     | 42-53 | `commanded_force` | commanded force (normal, o, t) | N | contact | 500 |
@@ -471,7 +471,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
             agent.action_mode == "initial_force" and any(numbers) and loop.count > 2
         ):  # the one squeeze of two soft contacts is not adjusted
             adjustment = agent.action_scale * np.array(numbers)
-        assumed_gravity = scene.gravity if self._measured_wrench else self._nominal_gravity
+        assumed_gravity = self._assumed_gravity(scene)
         acts = self._plan_acts
         for k in range(self._ticks_per_step):
             tick = min(self._tick, self._last_row)

@@ -33,11 +33,11 @@ def fields(tips: int = 4, joints: int = 12) -> tuple[Field, ...]:
     return (
         Field("force", "wrench to balance: force", 3, "N", "object", 200.0),
         Field("moment", "wrench to balance: moment", 3, "N m", "object", 20.0),
-        Field("position", "object position minus the wanted one", 3, "m", "world", 1.0),
-        Field("orientation", "object orientation against the wanted one", 3, "rad", "world", 3.2),
+        Field("position", "object position minus the desired one", 3, "m", "world", 1.0),
+        Field("orientation", "object orientation against the desired one", 3, "rad", "world", 3.2),
         Field(
             "linear_velocity",
-            "object linear velocity minus the wanted one",
+            "object linear velocity minus the desired one",
             3,
             "m/s",
             "world",
@@ -45,7 +45,7 @@ def fields(tips: int = 4, joints: int = 12) -> tuple[Field, ...]:
         ),
         Field(
             "angular_velocity",
-            "object angular velocity minus the wanted one",
+            "object angular velocity minus the desired one",
             3,
             "rad/s",
             "world",
@@ -115,6 +115,6 @@ class Observer:
         self._gather = Gather(list(parts), self.bound)
 
     def __call__(self, target: Array) -> tuple[NDArray[np.float32], Outcome]:
-        """Return the clipped observation and the state of the hold; target: (19,) wanted motion."""
+        """Return the clipped observation and the state of the hold; target: (19,) desired motion."""
         outcome = self._loop.outcome(target, self.error, self.measured)
         return self._gather(), outcome

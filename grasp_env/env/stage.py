@@ -28,7 +28,7 @@ class Stage:
     While shape and size stay the same, the fingers close only once. The state "closed", in which
     they just touch, is kept, and every mass and friction settles from there. Another shape is built
     and closed anew. In both cases an episode starts from the same bits, whatever came before. A
-    `GraspError` tells that the hand cannot reach or hold the object.
+    `GraspError` means that the hand cannot reach or hold the object.
 
     Attributes:
         episode: the settings of the episode, including drawn ones.

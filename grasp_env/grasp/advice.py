@@ -31,7 +31,7 @@ def advise(grasp: Grasp, wrench: ArrayLike | None = None, limits: Any = None) ->
     friction, Jacobian), friction above 2 or in degrees, contacts that nearly coincide, and a nearly
     singular G. With a wrench, they also report a moment about another point than the origin of the
     positions, and force and moment in the wrong order. With limits as well, they report torque
-    limits hundreds of times too large or too small. Each text tells what was seen, when it may be
+    limits hundreds of times too large or too small. Each text states what was seen, when it may be
     right, and what to change. `optimize_force` warns of the mistakes that are near certain.
 
     Args:

@@ -3,7 +3,7 @@
 A problem with wrong units, signs or frames is solved without complaint.
 
 Rules that can be near certain take a few microseconds while they find nothing, because every
-`optimize_force` asks them. They read `Grasp.contacts`, which is faster than the attributes of a new
+`optimize_force` calls them. They read `Grasp.contacts`, which is faster than the attributes of a new
 grasp.
 """
 
@@ -96,7 +96,7 @@ def some_outward(grasp: Grasp) -> list[Mistake]:
         return []
     text = (
         f"the normals of contacts {np.nonzero(away)[0].tolist()} point away from the centre of the contacts, and the fingers cannot "
-        "squeeze the object; with these normals turned round they could: normals must point INTO the object"
+        "squeeze the object; with these normals reversed they could: normals must point INTO the object"
     )
     return [Mistake(False, text)]
 

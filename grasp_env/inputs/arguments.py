@@ -87,7 +87,7 @@ def _converted(value: Any, shape: Shape | None, name: str) -> Array:
         if type(value) is list and array.dtype is _FLOAT:
             return array
         if np.ma.is_masked(value):  # `asarray` reads what the mask hides
-            why = "masked entries are no numbers"
+            why = "masked entries are not numbers"
         elif array.dtype.kind == "O":  # fractions, large integers, None
             entries: Any = [as_number(entry) for entry in array.flat]
             if None not in entries:

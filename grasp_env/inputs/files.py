@@ -36,7 +36,7 @@ def read_bytes(path: str | os.PathLike[str], most: int = TEXT) -> bytes:
     """Read a file, or a pipe such as /dev/stdin, of up to `most` bytes.
 
     Raises:
-        OSError: missing, not readable, a folder, larger than `most`, or no path; `strerror` tells
+        OSError: missing, not readable, a folder, larger than `most`, or not a path; `strerror` says
             which.
     """
     try:
@@ -48,7 +48,7 @@ def read_bytes(path: str | os.PathLike[str], most: int = TEXT) -> bytes:
                 chunks.append(chunk)
                 left -= len(chunk)
     except (TypeError, ValueError) as error:
-        raise OSError(errno.EINVAL, f"no path of a file ({error})", shown(path)) from None
+        raise OSError(errno.EINVAL, f"not a path of a file ({error})", shown(path)) from None
     if left == 0:
         raise OSError(errno.EFBIG, f"it is larger than {most // MEGABYTE} MB", str(path))
     return b"".join(chunks)
