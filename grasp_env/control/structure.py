@@ -16,10 +16,8 @@ from grasp_env.sim.snapshot import Snapshot
 MAX_CARRIED = 0.65
 """Largest share of a finger's force that its structure may carry without a warning.
 
-In 34 grasps by five hands (Dex3, Linker O7, Ability,
-BrainCo, iCub) the engines agreed below it: Bullet held 26 of 32 trials, MuJoCo 27. Above it Bullet
-held 30 of 104, MuJoCo 69.
-"""
+In 34 grasps by five hands (Dex3, Linker O7, Ability, BrainCo, iCub) the engines agreed below it:
+Bullet held 26 of 32 trials, MuJoCo 27. Above it Bullet held 30 of 104, MuJoCo 69."""
 
 
 class FingerStructure(NamedTuple):

@@ -46,15 +46,15 @@ class _Checked:
     """Base class of the rules: each number lies in its range of `_RANGES`."""
 
     def __post_init__(self) -> None:
-        values = {item.name: getattr(self, item.name) for item in fields(self)}
         with AllFaults() as check:
-            for name, value in values.items():
-                kept = (
+            for name in (item.name for item in fields(self)):
+                value = getattr(self, name)
+                checked = (
                     check(choice, value, name, VARIANTS)
                     if name == "variant"
                     else check(positive, value, name, _RANGES[name])
                 )
-                object.__setattr__(self, name, kept)
+                object.__setattr__(self, name, checked)
 
 
 @dataclass(frozen=True)
@@ -103,9 +103,9 @@ class ArmijoStep(_Checked):
 
 @dataclass(frozen=True)
 class AdaptiveStep(_Checked):
-    """Accept the first of alpha, alpha * shrink, ...
+    """Accept the first of alpha, alpha * shrink, ... that decreases Phi inside the cones.
 
-    that decreases Phi inside the cones; then multiply alpha by `grow`.
+    Then multiply alpha by `grow`.
 
     Attributes:
         first: first trial step of every solve [N / force_weight].

@@ -32,8 +32,7 @@ FRICTION = Range(1e-4, 1e4)
 """Coulomb coefficients.
 
 Below 1e-6, where normal forces are a million times the load, and above 1e5 balance loses its
-digits.
-"""
+digits."""
 TORSIONAL_FRICTION = Range(1e-15, 1e6, "m")
 """Torsional friction gamma."""
 TORSIONAL_LEVER = 1e4

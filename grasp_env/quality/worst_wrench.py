@@ -62,8 +62,8 @@ in general position."""
 JOGGLE = 1e-9
 """Largest random shift of a coordinate by Qhull (option QJ); the points have norms of about 1.
 
-To keep the bound valid, 100 times this
-shift is subtracted from every facet's distance to the origin."""
+To keep the bound valid, 100 times this shift is subtracted from every facet's distance to the
+origin."""
 BATCH = 8
 """Number of facets refined at once."""
 

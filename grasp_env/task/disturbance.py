@@ -53,8 +53,7 @@ Disturbance: TypeAlias = "Callable[[Array, np.random.Generator, Any], ArrayLike 
 
 times: (T,) times of the control ticks [s]; rng: the episode's own generator; settings: the
 environment's `EnvConfig`. If the order of draws from rng does not depend on T, a seed gives the
-same disturbance in a longer episode.
-"""
+same disturbance in a longer episode."""
 
 
 def name_of(disturbance: Disturbance | None) -> str:

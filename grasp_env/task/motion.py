@@ -14,8 +14,7 @@ MOTIONS: dict[str, str] = {
 """The motions by name, with descriptions.
 
 During a rotation about z, the thumb at -z turns on the spot and the fingers at +z stay on their
-face: the built-in four-finger hand reaches beyond 90 degrees about z, 61 about y and 24 about x.
-"""
+face: the built-in four-finger hand reaches beyond 90 degrees about z, 61 about y and 24 about x."""
 
 MOTION_SIZES: dict[str, float] = {"lift": 0.015, "shake": 0.015, "rotate": 0.3}
 """Default sizes [m], [m], [rad]."""

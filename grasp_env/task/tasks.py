@@ -159,7 +159,7 @@ class SixDirections(Task):
         return (1.0 - share) * pushes[index] + share * pushes[index + 1]
 
 
-TASKS: dict[str, type[Task]] = {made.name: made for made in (Hold, Move, Payload, SixDirections)}
+TASKS: dict[str, type[Task]] = {task.name: task for task in (Hold, Move, Payload, SixDirections)}
 """The tasks, by name."""
 TASK = any_of(TASKS, Task, ", or give its settings, such as Move(motion='lift')")
 """Kind of a setting that holds a task."""
