@@ -108,7 +108,7 @@ class UnknownNameError(GraspError, KeyError):
     def __reduce__(self) -> tuple[Any, ...]:
         # process pools pickle errors, and the given object may not be picklable
         given = self.given if isinstance(self.given, str) else shown(self.given)
-        return _restored, (type(self), *self.args, {"given": given, "allowed": self.allowed})
+        return _restore, (type(self), *self.args, {"given": given, "allowed": self.allowed})
 
     def __str__(self) -> str:  # KeyError would print the repr of the message
         return str(self.args[0])
@@ -136,7 +136,7 @@ class UnknownSettingError(UnknownNameError, TypeError):
         GraspError.__init__(self, named if self.allowed else given)
 
 
-def _restored(kind: type[GraspError], message: str, attributes: dict[str, Any]) -> GraspError:
+def _restore(kind: type[GraspError], message: str, attributes: dict[str, Any]) -> GraspError:
     """Return an unpickled error."""
     error = kind.__new__(kind, message)
     error.__dict__.update(attributes)

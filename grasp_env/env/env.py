@@ -467,9 +467,8 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         adjustment = forces = None
         if agent.action_mode == "contact_force":
             forces = self._forces(np.array(numbers))
-        elif (
-            agent.action_mode == "initial_force" and any(numbers) and loop.count > 2
-        ):  # the one squeeze of two soft contacts is not adjusted
+        # the one squeeze of two soft contacts is not adjusted
+        elif agent.action_mode == "initial_force" and any(numbers) and loop.count > 2:
             adjustment = agent.action_scale * np.array(numbers)
         assumed_gravity = self._assumed_gravity(scene)
         acts = self._plan_acts

@@ -143,7 +143,7 @@ class ForceLimits:
         """
         n_contacts = whole(n_contacts, "n_contacts", 1, ranges.CONTACTS)
 
-        def of_each(name: str) -> Array:
+        def per_contact(name: str) -> Array:
             value = np.asarray(getattr(self, name))
             if value.ndim and len(value) != n_contacts:
                 raise InvalidInputError(
@@ -151,8 +151,8 @@ class ForceLimits:
                 )
             return np.broadcast_to(value, (n_contacts,)).copy()
 
-        least = of_each("min_normal")
-        most = of_each("max_normal")
+        least = per_contact("min_normal")
+        most = per_contact("max_normal")
         nothing = np.zeros(0)
         if self.jacobian is None:
             return LimitArrays(least, most, np.zeros((n_contacts, 6, 0)), nothing, nothing)
@@ -254,7 +254,7 @@ def given_limits(limits: ForceLimits | None, n_contacts: int) -> tuple[Any, ...]
     """Return the limits for the core, in the order of `LimitArrays`; None: not given."""
     if limits is None:
         return None
-    arrays: Any = vars(limits)  # arrays after __post_init__
+    arrays: Any = vars(limits)
     least, most, jacobian, torque, bias = map(arrays.__getitem__, LimitArrays._fields)
     if least.ndim == 0:
         least = np.full(n_contacts, least) if least else None

@@ -184,9 +184,8 @@ class ForceOptimizer:
         elif isinstance(initial, str):
             start = STARTS.index(initial)
             remembers = initial == "previous"
-        elif initial is not None and isinstance(
-            initial, CompiledRule
-        ):  # a protocol is slow to compare with
+        # a protocol is slow to compare with
+        elif initial is not None and isinstance(initial, CompiledRule):
             start = LEARNED
             remembers = bool(initial.remembers)
             try:

@@ -54,9 +54,8 @@ def checked_options(*settings: Any) -> Options:
     """
     try:
         return _cached(*settings)
-    except (
-        Exception
-    ):  # arguments without a hash, such as a list or a memoryview; wrong ones raise again
+    except Exception:
+        # arguments without a hash, such as a list or a memoryview; wrong ones raise again
         return _checked(*settings)
 
 

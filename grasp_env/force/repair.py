@@ -58,7 +58,7 @@ class Repair:
             InvalidInputError: the candidate has another shape, or the wrench is not finite.
         """
         force = as_array(candidate, (as_grasp(grasp).n_contacts, 3), "candidate", finite=False)
-        return _started(grasp, self.objective, GUESS, as_wrench(wrench), force)
+        return _repaired(grasp, self.objective, GUESS, as_wrench(wrench), force)
 
 
 def start_replaced(grasp: Grasp, wrench: Wrench, force: ContactForces) -> bool:
@@ -125,7 +125,7 @@ def carry_over(
     choice(correction, "correction", CORRECTIONS)
     wrench = as_wrench(wrench)
     before = as_array(previous, (as_grasp(grasp).n_contacts, 3), "previous", ranges.SIZE)
-    return _started(
+    return _repaired(
         grasp,
         as_objective(objective),
         PREVIOUS if correction == "tangent" else GUESS,
@@ -134,7 +134,7 @@ def carry_over(
     )
 
 
-def _started(
+def _repaired(
     grasp: Grasp, objective: Objective, start: int, wrench: Wrench, force: ContactForces
 ) -> ContactForces:
     """Return a start of the core from a force (N, 3) [N], which need not be balanced or inside."""

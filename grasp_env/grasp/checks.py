@@ -103,9 +103,8 @@ def rank_error(rank: int, count: int, hint: str = "") -> RankDeficientGraspError
 def checked_pseudoinverse(matrix: Array, frame: Array, count: int) -> Array:
     """Return the least-norm inverse of G (6, K), with its rank decided in a `frame` (6, 6)."""
     if not (np.isfinite(matrix).all() and np.isfinite(frame).all()):
-        raise InvalidInputError(
-            "positions, normals and tangents must be finite"
-        )  # only from `unchecked`
+        # only from `unchecked`
+        raise InvalidInputError("positions, normals and tangents must be finite")
     u, s, vt = np.linalg.svd(frame @ matrix, full_matrices=False)
     if len(s) < 6 or s[-1] < RANK_TOLERANCE * s[0]:
         raise rank_error(rank_of(s), count)

@@ -66,7 +66,9 @@ class ContactModels:
             and within.low <= friction <= within.high
         ):
             # new contacts in a control loop: no checks of each
-            return cls._made(("hard",) * count, np.full((count, 2), friction), np.zeros(count))
+            return cls._from_arrays(
+                ("hard",) * count, np.full((count, 2), friction), np.zeros(count)
+            )
         if isinstance(models, np.ndarray) and models.ndim == 1 and len(models) == count:
             models = models.tolist()
         listed = [models] * count if isinstance(models, str) else models
@@ -78,10 +80,10 @@ class ContactModels:
         gamma = _torsional(
             torsional_friction, np.array([name == "soft" for name in names], dtype=bool)
         )
-        return cls._made(names, mu, gamma)
+        return cls._from_arrays(names, mu, gamma)
 
     @classmethod
-    def _made(cls, names: tuple[str, ...], mu: Array, gamma: Array) -> ContactModels:
+    def _from_arrays(cls, names: tuple[str, ...], mu: Array, gamma: Array) -> ContactModels:
         cone_scale = np.empty((len(names), 3))
         core.cone_scale(mu, cone_scale)
         # dividing by the factor that multiplied returns a force to the last bit; x / inf = 0
@@ -125,7 +127,7 @@ def _friction(value: ArrayLike, rough: np.ndarray, finite: bool = True) -> Array
     """Return coefficients (N, 2), checked for the contacts that are `rough` (N,), 0 for the others."""
     count = len(rough)
     shapes = (), (count,), (count, 2)
-    return _each(
+    return _per_contact(
         value,
         "friction",
         shapes,
@@ -146,7 +148,7 @@ def _torsional(value: ArrayLike | None, soft: np.ndarray) -> Array:
             "about 0.005 for a fingertip with a contact patch of 1 cm radius"
         )
     shapes = (), soft.shape
-    return _each(
+    return _per_contact(
         value,
         "torsional_friction",
         shapes,
@@ -156,7 +158,7 @@ def _torsional(value: ArrayLike | None, soft: np.ndarray) -> Array:
     )
 
 
-def _each(
+def _per_contact(
     value: ArrayLike,
     name: str,
     shapes: tuple[tuple[int, ...], ...],

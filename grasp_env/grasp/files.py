@@ -56,7 +56,7 @@ def save_grasp(grasp: Grasp, path: str | Path) -> Path:
     file = as_path(path, GraspFileError, "a grasp's file")
     lines = [
         f"  {json.dumps(key)}: {json.dumps(value)}"
-        for key, value in _described(as_grasp(grasp)).items()
+        for key, value in _to_json(as_grasp(grasp)).items()
     ]
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -104,7 +104,7 @@ def load_grasp(path: str | Path) -> Grasp:
         raise GraspFileError(f"grasp file {file}: {error}") from error
 
 
-def _described(grasp: Grasp) -> dict[str, Any]:
+def _to_json(grasp: Grasp) -> dict[str, Any]:
     models = grasp.models
     mu = models.friction
     arguments: dict[str, Any] = {

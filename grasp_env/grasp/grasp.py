@@ -162,7 +162,7 @@ class Grasp:
             settings = contact_model, friction, torsional_friction
             models: Any = None if count is None else check(ContactModels.checked, *settings, count)
         normalise_normals(inward)
-        grasp = cls._made(points, inward, models, checked_tangents(tangents, inward))
+        grasp = cls._from_arrays(points, inward, models, checked_tangents(tangents, inward))
         if torsional_friction is not None:
             check_torsion(models.torsional_friction, grasp.length)
         return grasp
@@ -181,7 +181,7 @@ class Grasp:
         """
         try:
             along = DEFAULT_TANGENTS if tangents is None else np.ascontiguousarray(tangents)
-            return cls._made(
+            return cls._from_arrays(
                 np.ascontiguousarray(positions), np.ascontiguousarray(normals), models, along
             )
         except (AttributeError, TypeError) as error:
@@ -191,7 +191,7 @@ class Grasp:
             ) from None
 
     @classmethod
-    def _made(
+    def _from_arrays(
         cls, positions: Array, normals: Array, models: ContactModels, tangents: Array
     ) -> Grasp:
         contacts = Contacts.put(
@@ -274,9 +274,8 @@ class Grasp:
     @property
     def largest_friction(self) -> float:
         """Largest friction coefficient of any contact in any direction."""
-        friction = vars(self).get(
-            "_friction"
-        )  # of hard contacts, whose `models` are made at their first use
+        # of hard contacts, whose `models` are made at their first use
+        friction = vars(self).get("_friction")
         if type(friction) is float:
             return friction
         return float((self.models.friction if friction is None else friction).max())
@@ -366,7 +365,7 @@ class Grasp:
         wrench = self.matrix @ as_array(force, (self.n_contacts, 3), "force", ranges.SIZE).reshape(
             -1
         )
-        return wrench if torsion is None else wrench + self._twisted(torsion)
+        return wrench if torsion is None else wrench + self._torsion_wrench(torsion)
 
     def residual(self, force: ContactForces, wrench: Wrench, torsion: Array | None = None) -> float:
         """Return the largest |component| of G f + w [N].
@@ -382,7 +381,7 @@ class Grasp:
             wrench, (6,), "wrench", ranges.SIZE
         )
         if torsion is not None:
-            error += self._twisted(torsion)
+            error += self._torsion_wrench(torsion)
         return float(np.abs(self.unit_frame @ error).max())
 
     def to_object_frame(self, force: ContactForces) -> Array:
@@ -393,7 +392,7 @@ class Grasp:
         """Return contact-frame forces (normal, o, t) (N, 3) [N] from object-frame `vectors` (N, 3)."""
         return np.einsum("nji,nj->ni", self.frames, self._rows(vectors, "vectors"))
 
-    def _twisted(self, torsion: ArrayLike) -> Wrench:
+    def _torsion_wrench(self, torsion: ArrayLike) -> Wrench:
         return self.torsion_matrix @ as_array(torsion, (self.n_contacts,), "torsion", ranges.SIZE)
 
     def _rows(self, value: ArrayLike, name: str) -> Array:

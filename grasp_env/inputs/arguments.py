@@ -93,9 +93,8 @@ def _converted(value: Any, shape: Shape | None, name: str) -> Array:
             if None not in entries:
                 return np.reshape(entries, array.shape)
             why = "not all of them are"
-        elif (
-            array.dtype.kind in "iuf"
-        ):  # numpy would convert text and booleans, too, and complex numbers in part
+        elif array.dtype.kind in "iuf":
+            # numpy would convert text and booleans, too, and complex numbers in part
             return np.array(array, dtype=np.float64, order="C")
         else:
             why = f"they are of type {array.dtype}"

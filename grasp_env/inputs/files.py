@@ -190,9 +190,8 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def _hidden(target: Path) -> Path:
-    return target.with_name(
-        f"{_MARK}{os.urandom(4).hex()}.{target.name[-50:]}"
-    )  # names have at most 255 bytes
+    # names have at most 255 bytes
+    return target.with_name(f"{_MARK}{os.urandom(4).hex()}.{target.name[-50:]}")
 
 
 def _sync(path: Path) -> None:

@@ -226,7 +226,7 @@ def worst_case(
         listed = checked_size(as_array(wrenches, (None, 6), "wrenches"), "wrenches")
         if not len(listed):
             raise InvalidInputError("wrenches must hold at least one wrench")
-        solved = [_solved(optimizer, wrench) for wrench in listed]
+        solved = [_solve(optimizer, wrench) for wrench in listed]
         for wrench, case in zip(listed, solved, strict=True):
             if case.solution is None:
                 raise NotConvergedError(
@@ -238,15 +238,15 @@ def worst_case(
     if limits is None and not (closure := force_closure(grasp)):
         assert closure.twist is not None
         # infeasible by the twist; the solver may add its own proof
-        case = _solved(optimizer, ball.farthest(closure.twist))
+        case = _solve(optimizer, ball.farthest(closure.twist))
         return case if case.lower == np.inf else WorstCase(case.wrench, np.inf, np.inf, None)
     axes = np.concatenate([np.eye(6), -np.eye(6)])
     directions = np.concatenate([axes, rng.standard_normal((starts, 6))]) / ball.radii
-    best = max((_ascended(optimizer, ball, ball.farthest(n)) for n in directions), key=_lower)
+    best = max((_ascend(optimizer, ball, ball.farthest(n)) for n in directions), key=_lower)
     if best.lower == np.inf:
         return best
     if limits is None:
-        return _enclosed(optimizer, ball, best, tolerance, points, rng)
+        return _refine_hull(optimizer, ball, best, tolerance, points, rng)
     return _within_limits(optimizer, ball, best)
 
 
@@ -254,7 +254,7 @@ def _lower(case: WorstCase) -> float:
     return case.lower
 
 
-def _solved(optimizer: ForceOptimizer, wrench: Wrench) -> WorstCase:
+def _solve(optimizer: ForceOptimizer, wrench: Wrench) -> WorstCase:
     """Return the bounds for one wrench."""
     try:
         solution = optimizer.solve(wrench)
@@ -267,23 +267,23 @@ def _solved(optimizer: ForceOptimizer, wrench: Wrench) -> WorstCase:
     return WorstCase(wrench, solution.lower_bound, solution.objective, solution)
 
 
-def _ascended(optimizer: ForceOptimizer, ball: WrenchBall, wrench: Wrench) -> WorstCase:
+def _ascend(optimizer: ForceOptimizer, ball: WrenchBall, wrench: Wrench) -> WorstCase:
     """Replace w by the wrench of the ball with the largest -n . w until the bound stops rising.
 
     n are the multipliers at w.
     """
-    best = _solved(optimizer, wrench)
+    best = _solve(optimizer, wrench)
     for _ in range(50):
         if best.lower == np.inf or best.solution is None or not best.solution.multipliers.any():
             break
-        case = _solved(optimizer, ball.farthest(-best.solution.multipliers))
+        case = _solve(optimizer, ball.farthest(-best.solution.multipliers))
         if not case.lower > best.lower * (1.0 + 1e-6):
             break
         best = case
     return best
 
 
-def _enclosed(
+def _refine_hull(
     optimizer: ForceOptimizer,
     ball: WrenchBall,
     best: WorstCase,
@@ -329,7 +329,7 @@ def _enclosed(
         dual_bounds = reach[top] / np.maximum(heights, 1e-300)
         start = ball.farthest(-normals[top[dual_bounds.argmax()]] / ball.radii)
         unsolved = WorstCase(start, float(dual_bounds.max()), np.inf, None)
-        best = max(best, _ascended(optimizer, ball, start), unsolved, key=_lower)
+        best = max(best, _ascend(optimizer, ball, start), unsolved, key=_lower)
         upper = max(1.0 / nearest if nearest > 0.0 else np.inf, best.least_force)
         if upper <= best.lower * (1.0 + tolerance) or len(hull.points) >= points:
             return best._replace(upper=upper)
@@ -343,13 +343,13 @@ def _within_limits(optimizer: ForceOptimizer, ball: WrenchBall, best: WorstCase)
     """Compute the upper bound from the vertices of an outer polytope."""
     upper = best.upper
     for vertex in ball.enclosing():
-        case = _solved(optimizer, vertex)
+        case = _solve(optimizer, vertex)
         upper = max(upper, case.upper)
         if upper == np.inf:
             if case.solution is not None and case.solution.certificate is not None:
                 # the twist that separates the vertex may also separate a wrench of the ball
                 best = max(
-                    best, _solved(optimizer, ball.farthest(case.solution.certificate)), key=_lower
+                    best, _solve(optimizer, ball.farthest(case.solution.certificate)), key=_lower
                 )
             break
     return best._replace(upper=upper)
