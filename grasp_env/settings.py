@@ -127,7 +127,7 @@ class Settings:
         It is called after all of them are checked and converted.
         """
 
-    def replaced(self: S, given: Mapping[str, Any], path: str = "") -> S:
+    def replaced(self: S, changes: Mapping[str, Any], path: str = "") -> S:
         """Return a copy with some settings replaced; `path` of the record is for error messages.
 
         Raises:
@@ -137,10 +137,10 @@ class Settings:
         before = _PATH.set(path)
         try:
             known = [item.name for item in fields(self)]
-            for name in given:
+            for name in changes:
                 if name not in known:
                     raise UnknownSettingError(placed(str(name)), map(placed, known or ["(none)"]))
-            return replace(self, **given)
+            return replace(self, **changes)
         finally:
             _PATH.reset(before)
 

@@ -45,17 +45,15 @@ def close_hand(scene: Scene, loop: ForceLoop) -> None:
 
 def _close(scene: Scene, loop: ForceLoop) -> None:
     target = resting_target(1)[0]
-    quiet = 0
+    steady = 0
     fixture = critically_damped(scene.config.object, _FIXTURE_BANDWIDTH, _FIXTURE_BANDWIDTH)
     for _ in range(round(CLOSING_TIME / loop.dt)):
         torques = loop.reach(scene.gravity, target)
         scene.look()
-        scene.advance(
-            torques, [-number for number in fixture.wrench(scene.core, target, scene.gravity)]
-        )
+        scene.advance(torques, [-x for x in fixture.wrench(scene.core, target, scene.gravity)])
         arrived = scene.look().touching.all() and _slow(scene)
-        quiet = quiet + 1 if arrived else 0
-        if quiet == _QUIET:
+        steady = steady + 1 if arrived else 0
+        if steady == _QUIET:
             return
     raise SimulationError(
         f"the fingers did not come to rest on the object in {CLOSING_TIME} s: "
@@ -82,7 +80,7 @@ def take_over(scene: Scene, loop: ForceLoop) -> None:
     """
     loop.reset()
     target = resting_target(1)[0]
-    quiet = 0
+    steady = 0
     every = round(loop.config.controller.rate / loop.config.agent.rate)
     weight = scene.config.object.mass * scene.gravity
     scale = float(np.linalg.norm(weight))
@@ -105,8 +103,8 @@ def take_over(scene: Scene, loop: ForceLoop) -> None:
         )
         away = np.abs(snapshot.position).max()
         # fingers that cannot push in every direction leave the object slightly off its place
-        quiet = quiet + 1 if still and away < (_PLACED if tick < latest else _NEAR) else 0
-        if quiet == _SETTLED:
+        steady = steady + 1 if still and away < (_PLACED if tick < latest else _NEAR) else 0
+        if steady == _SETTLED:
             return
         if away > _LOST:
             break

@@ -51,7 +51,7 @@ def checked_call(
         checked = checked_jacobian(jacobian, n, touch)
         if checked.shape[2] != joints:
             raise InvalidInputError(
-                f"jacobian must be that of {joints} joints, got shape {checked.shape}"
+                f"jacobian must have {joints} joints, got shape {checked.shape}"
             )
         if joints and checked.shape[1:] != motions:
             raise InvalidInputError(

@@ -48,7 +48,7 @@ def _forces(force: ContactForces, friction: Array) -> Array:
     x = as_array(force, (None, 3), "force", ranges.SIZE)
     if not 1 <= len(x) <= ranges.CONTACTS:
         raise InvalidInputError(
-            f"force must be that of 1 to {ranges.CONTACTS} contacts, got shape {x.shape}"
+            f"force must have 1 to {ranges.CONTACTS} contacts, got shape {x.shape}"
         )
     mu = as_array(friction, None, "friction", ranges.Range(0.0, ranges.FRICTION.high))
     if mu.shape not in ((), (len(x),)):

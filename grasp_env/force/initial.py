@@ -72,7 +72,7 @@ class StartRequest:
 
     Attributes:
         start: index into `STARTS`.
-        name: name of a given force in the solution; None: that of `STARTS`.
+        name: name of the force in the solution; None: the name in `STARTS`.
         replaced: True if the paper's combination replaced a rule's force.
         force: (N, 3) given force [N].
         before: the solution to carry over in place of the last one.

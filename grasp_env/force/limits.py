@@ -250,7 +250,7 @@ def as_limits(value: object) -> ForceLimits | None:
     return instance(value, ForceLimits, "limits", or_none=True)
 
 
-def given_limits(limits: ForceLimits | None, n_contacts: int) -> tuple[Any, ...] | None:
+def core_limits(limits: ForceLimits | None, n_contacts: int) -> tuple[Any, ...] | None:
     """Return the limits for the core, in the order of `LimitArrays`; None: not given."""
     if limits is None:
         return None

@@ -36,7 +36,7 @@ from grasp_env.force.initial import (
     rule_name,
     rule_start,
 )
-from grasp_env.force.limits import ForceLimits, as_limits, given_limits
+from grasp_env.force.limits import ForceLimits, as_limits, core_limits
 from grasp_env.force.many import ForceSolutions, checked_batch, solve_many
 from grasp_env.force.objective import Objective, Weight
 from grasp_env.force.options import MAX_ITERATIONS, checked_options
@@ -213,7 +213,7 @@ class ForceOptimizer:
             (weights.force_weight, weights.barrier_weight)
             if plain
             else weights.weights(grasp.n_contacts),
-            given_limits(self.limits, grasp.n_contacts),
+            core_limits(self.limits, grasp.n_contacts),
         )
         settings = core.Options(
             method=options.method,

@@ -85,6 +85,6 @@ def checked_jacobian(
     as_array(jac, None, "jacobian", ranges.LEVER, copy=False, used=used)
     if len(jac) > ranges.CONTACTS or jac.shape[2] > ranges.JOINTS:
         raise InvalidInputError(
-            f"jacobian must be that of at most {ranges.CONTACTS} contacts and {ranges.JOINTS} joints, got shape {shape}"
+            f"jacobian must have at most {ranges.CONTACTS} contacts and {ranges.JOINTS} joints, got shape {shape}"
         )
     return jac

@@ -24,7 +24,7 @@ def checked_points(positions: ArrayLike) -> Array:
     points = as_array(positions, (None, 3), "positions")
     if len(points) > ranges.CONTACTS:
         raise InvalidInputError(
-            f"positions must be those of at most {ranges.CONTACTS} contacts, got {len(points)}"
+            f"positions must have at most {ranges.CONTACTS} contacts, got {len(points)}"
         )
     return points
 
@@ -46,7 +46,7 @@ def check_place(count: int, size: float, centre: Array) -> None:
     One contact may be anywhere.
     """
     if count == 0:
-        raise InvalidInputError("positions must be those of at least one contact, got none")
+        raise InvalidInputError("positions must have at least one contact, got none")
     if count == 1:
         return
     if not ranges.LENGTH.low <= size <= ranges.LENGTH.high:

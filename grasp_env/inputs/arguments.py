@@ -217,10 +217,10 @@ class AllFaults:
     def __enter__(self) -> AllFaults:
         return self
 
-    def __call__(self, check: Callable[..., T], *given: Any, **options: Any) -> T:
-        """Return `check(*given, **options)`; keep a fault and return None, as the block raises."""
+    def __call__(self, check: Callable[..., T], *args: Any, **options: Any) -> T:
+        """Return `check(*args, **options)`; keep a fault and return None, as the block raises."""
         try:
-            return check(*given, **options)
+            return check(*args, **options)
         except GraspError as fault:
             self.faults.append(fault)
             return None  # type: ignore[return-value]

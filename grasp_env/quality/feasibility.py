@@ -9,7 +9,7 @@ import numpy as np
 
 from grasp_env import core
 from grasp_env.errors import NotConvergedError
-from grasp_env.force.limits import ForceLimits, as_limits, given_limits
+from grasp_env.force.limits import ForceLimits, as_limits, core_limits
 from grasp_env.force.record import CONVERGED, INFEASIBLE
 from grasp_env.grasp.grasp import Grasp, as_grasp
 from grasp_env.inputs.arguments import Array, ContactForces, Wrench, as_wrench
@@ -99,7 +99,7 @@ def feasibility(grasp: Grasp, wrench: Wrench, limits: ForceLimits | None = None)
 def deepest(grasp: Grasp, wrench: Wrench, limits: ForceLimits | None = None) -> Deepest:
     """Return the core's result for checked arguments; see `feasibility`."""
     n = grasp.n_contacts
-    problem = core.Problem(grasp.contacts, None, given_limits(limits, n))
+    problem = core.Problem(grasp.contacts, None, core_limits(limits, n))
     solver = core.ForceOptimizer(problem)
     force = np.empty((n, 3))
     torsion = np.empty(n)
