@@ -1,5 +1,6 @@
-"""Grasp-force optimisation in a simulated hand: `grasp_env.grasp`, `grasp_env.force`, and a
-Gymnasium environment.
+"""Grasp-force optimisation in a simulated hand.
+
+The solver is `grasp_env.grasp` and `grasp_env.force`; the hand is a Gymnasium environment.
 
 Importing the package registers `FourFingerGrasp-v0` with Gymnasium, whichever of the two is
 imported first. The import stays light: it does not import Gymnasium, and PyBullet loads with the
@@ -23,8 +24,9 @@ def _register() -> bool:
 
 
 class _Watch:
-    """Import hook that registers the environment once Gymnasium is imported, and then removes
-    itself. It finds no module.
+    """Import hook that registers the environment once Gymnasium is imported.
+
+    It then removes itself. It finds no module.
 
     Gymnasium has had no plugins since 1.0. Importing it here would take 30 to 100 ms, also for
     users of the solver alone.

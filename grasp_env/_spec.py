@@ -12,8 +12,9 @@ FINISH = WrapperSpec("finish", "grasp_env.env.env:finish", {})
 
 
 class GraspSpec(EnvSpec):
-    """A specification whose JSON keeps records, hands and arrays among the keywords, for
-    `gym.make(EnvSpec.from_json(text))`.
+    """A specification whose JSON keeps records, hands and arrays among the keywords.
+
+    Use it as `gym.make(EnvSpec.from_json(text))`.
 
     `EnvSpec.to_json` alone would write a record as a dict without its name.
     """

@@ -1,7 +1,7 @@
 """All errors of the project.
 
 Every class also derives from the matching builtin, so `except ValueError` and `except KeyError`
-work. A message tells what was given, what is allowed and how to mend it.
+work. A message states what was given, what is allowed and the remedy.
 """
 
 from __future__ import annotations
@@ -64,8 +64,7 @@ def shown(value: object) -> str:
 
 
 def alike(given: object, allowed: Iterable[str]) -> str:
-    """Return the question whether the allowed name most like the given one was meant; empty if none
-    is like it.
+    """Return " did you mean NAME?" for the allowed name closest to the given one, or "".
 
     Example:
         >>> alike("Newtn", ["conic", "newton"]), alike("simplex", ["conic", "newton"])
@@ -76,8 +75,8 @@ def alike(given: object, allowed: Iterable[str]) -> str:
     if not isinstance(given, str) or len(given) > 100:
         return ""
     names = {name.lower(): name for name in allowed}
-    found = get_close_matches(given.lower(), names, 1)
-    return f" did you mean {names[found[0]]!r}?" if found else ""
+    matches = get_close_matches(given.lower(), names, 1)
+    return f" did you mean {names[matches[0]]!r}?" if matches else ""
 
 
 class GraspError(ValueError):
@@ -109,7 +108,7 @@ class UnknownNameError(GraspError, KeyError):
     def __reduce__(self) -> tuple[Any, ...]:
         # process pools pickle errors, and the given object may not be picklable
         given = self.given if isinstance(self.given, str) else shown(self.given)
-        return _restored, (type(self), *self.args, {"given": given, "allowed": self.allowed})
+        return _restore, (type(self), *self.args, {"given": given, "allowed": self.allowed})
 
     def __str__(self) -> str:  # KeyError would print the repr of the message
         return str(self.args[0])
@@ -137,7 +136,7 @@ class UnknownSettingError(UnknownNameError, TypeError):
         GraspError.__init__(self, named if self.allowed else given)
 
 
-def _restored(kind: type[GraspError], message: str, attributes: dict[str, Any]) -> GraspError:
+def _restore(kind: type[GraspError], message: str, attributes: dict[str, Any]) -> GraspError:
     """Return an unpickled error."""
     error = kind.__new__(kind, message)
     error.__dict__.update(attributes)
@@ -163,9 +162,7 @@ class InfeasibleWrenchError(GraspError):
     def __init__(
         self, message: str, solution: Any = None, tell: Callable[[], str] | None = None
     ) -> None:
-        """Make the error; with an empty `message` the text is `tell()`, which costs a control loop
-        nothing until it is read.
-        """
+        """`tell` builds an empty `message` on first use, so raising is cheap in a control loop."""
         super().__init__(message)
         self.solution, self._tell = solution, tell
 
@@ -178,9 +175,7 @@ class InfeasibleWrenchError(GraspError):
 
 
 class UnsupportedProblemError(GraspError):
-    """The method does not support this kind of contact, limit or option; the message names one that
-    does.
-    """
+    """The method does not support a contact, limit or option; the message names one that does."""
 
 
 class InfeasibleStartError(GraspError):
@@ -188,8 +183,9 @@ class InfeasibleStartError(GraspError):
 
 
 class NotConvergedError(GraspError, RuntimeError):
-    """A solution did not reach its tolerance; besides the `message` it has the `ForceSolution`,
-    `solution`, if there is one.
+    """A solution did not reach its tolerance.
+
+    Besides the `message` it has the `ForceSolution`, `solution`, if there is one.
     """
 
     def __init__(self, message: str, solution: Any = None) -> None:
@@ -210,4 +206,4 @@ class MissingExtraError(GraspError, ImportError):
 
 
 class SimulationError(GraspError, RuntimeError):
-    """The simulator diverged, was closed, or cannot do what was asked."""
+    """The simulator diverged, was closed, or does not support the request."""

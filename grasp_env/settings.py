@@ -103,9 +103,9 @@ class Settings:
         # inherited fields, and those that `dataclass` has not processed yet
         known = {**getattr(cls, "__dataclass_fields__", {}), **vars(cls)}
         abouts = {
-            name: each.metadata.get(_ABOUT)
-            for name, each in known.items()
-            if isinstance(each, Field)
+            name: item.metadata.get(_ABOUT)
+            for name, item in known.items()
+            if isinstance(item, Field)
         }
         lines = [_sentence(name, about) for name, about in abouts.items() if about]
         if lines:
@@ -122,13 +122,13 @@ class Settings:
         self.agree()
 
     def agree(self) -> None:
-        """Raise an error if values that are valid alone contradict each other; called after each is
-        checked and converted.
+        """Raise an error if values that are valid alone contradict each other.
+
+        It is called after all of them are checked and converted.
         """
 
-    def replaced(self: S, given: Mapping[str, Any], path: str = "") -> S:
-        """Return a copy with some settings replaced; `path` of the record, such as "sensors", is
-        for error messages.
+    def replaced(self: S, changes: Mapping[str, Any], path: str = "") -> S:
+        """Return a copy with some settings replaced; `path` of the record is for error messages.
 
         Raises:
             UnknownSettingError: the record has no setting of that name.
@@ -137,10 +137,10 @@ class Settings:
         before = _PATH.set(path)
         try:
             known = [item.name for item in fields(self)]
-            for name in given:
+            for name in changes:
                 if name not in known:
                     raise UnknownSettingError(placed(str(name)), map(placed, known or ["(none)"]))
-            return replace(self, **given)
+            return replace(self, **changes)
         finally:
             _PATH.reset(before)
 
@@ -148,8 +148,9 @@ class Settings:
 def described(
     record: type[Settings], path: str = ""
 ) -> Iterator[tuple[str, type[Settings], About]]:
-    """Yield all settings of a record (itself at a `path`) and of its nested records, in order:
-    path, class, description.
+    """Yield path, class and description of all settings of a record and its nested records.
+
+    `path` is that of the record itself.
     """
     for item in fields(record):
         about = item.metadata[_ABOUT]
@@ -163,17 +164,17 @@ def real(within: Range = ANY) -> Kind:
     """A number within a range."""
 
     def take(value: Any, name: str) -> float:
-        found = as_number(value)
-        if found is None or not within.low <= found <= within.high:
+        result = as_number(value)
+        if result is None or not within.low <= result <= within.high:
             most = (
                 f" and up to {within.high:g}"
-                if found is not None and found > within.high >= 1e9
+                if result is not None and result > within.high >= 1e9
                 else ""
             )
             raise InvalidInputError(
                 f"{name} must be a number {_range_text(within)}{most}, got {shown(value)}"
             )
-        return found
+        return result
 
     return Kind(take, _range_text(within))
 
@@ -186,9 +187,7 @@ def integer(low: int, high: int = ranges.ITERATIONS) -> Kind:
 def one_of(
     names: Iterable[str], instead: str = "", fits: Callable[[Any], bool] = lambda _: False
 ) -> Kind:
-    """One of several names, or another value that `fits`; `instead` tells in words which, such as
-    "a rule".
-    """
+    """One of several names, or another value that `fits`, which `instead` puts in words."""
     allowed = tuple(names)
 
     def take(value: Any, name: str) -> Any:
@@ -196,7 +195,7 @@ def one_of(
             return value
         return choice(value, name, allowed, instead and f", or give {instead}")
 
-    return Kind(take, ", ".join(f"`{each}`" for each in allowed) + (instead and f", or {instead}"))
+    return Kind(take, ", ".join(f"`{name}`" for name in allowed) + (instead and f", or {instead}"))
 
 
 def numbers(count: int, within: Range = ANY) -> Kind:
@@ -246,7 +245,7 @@ def any_of(
                     f"{name} needs a name, one of {', '.join(map(repr, table))}, got {shown(value)}"
                 )
             named = value["name"]
-            settings = {key: each for key, each in value.items() if key != "name"}
+            settings = {key: item for key, item in value.items() if key != "name"}
         return table[choice(named, name, table, hint)]().replaced(settings, name)
 
     def write(value: Any, name: str) -> Any:
@@ -254,7 +253,7 @@ def any_of(
             value, name, table.get(value.name) if isinstance(value, Settings) else None
         )
 
-    text = ", ".join(f"`{each}`" for each in table)
+    text = ", ".join(f"`{name}`" for name in table)
     more = ", or a function" if calls else ""
     return Kind(take, f"{text}, {base.__name__} or dict{more}", tuple(table.values()), write)
 
@@ -265,8 +264,7 @@ def placed(name: str) -> str:
 
 
 def to_json(value: Any, path: str = "") -> Any:
-    """Return settings as JSON values, as `Kind.write` gives them; a record that is one of several
-    has its name, too.
+    """Return settings as JSON values by `Kind.write`; a record that is one of several has its name.
 
     Values that are not checked yet are written, too: arrays and numbers of numpy, paths, and dicts
     with any of these.
@@ -284,9 +282,9 @@ def to_json(value: Any, path: str = "") -> Any:
             for item in fields(value)
         }
     if isinstance(value, dict):
-        return {str(key): to_json(each, f"{start}{key}") for key, each in value.items()}
+        return {str(key): to_json(item, f"{start}{key}") for key, item in value.items()}
     if isinstance(value, tuple | list):
-        return [to_json(each, path) for each in value]
+        return [to_json(item, path) for item in value]
     if isinstance(value, np.ndarray | np.generic):
         return to_json(value.tolist(), path)
     if isinstance(value, os.PathLike):
@@ -329,5 +327,5 @@ def _range_text(within: Range) -> str:
 
 
 def _sentence(name: str, about: About) -> str:
-    allowed = " ".join(part for part in (about.kind.text, about.unit) if part)
+    allowed = " ".join(text for text in (about.kind.text, about.unit) if text)
     return f"    {name}: {about.doc} ({allowed})"

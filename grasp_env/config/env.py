@@ -209,11 +209,11 @@ class EnvConfig(Settings):
                 "contact_points belong to one shape and size: leave them out if these are randomised"
             )
         if self.approach is not None and (self.contact_points or self.hand_description.placed):
-            given = (
+            reason = (
                 "contact_points are given" if self.contact_points else "the hand is placed already"
             )
             raise InvalidInputError(
-                f"approach={shown(self.approach)} is for a hand that is put around the object, and {given}: leave one of them out"
+                f"approach={shown(self.approach)} is for a hand that is put around the object, and {reason}: leave one of them out"
             )
         if self.task.pushes and not isinstance(self.disturbance, NoDisturbance | None):
             raise InvalidInputError(
@@ -250,27 +250,26 @@ class EnvConfig(Settings):
                 whole[place] = value
 
         def changed(place: str) -> Settings:
-            given = whole.get(place, getattr(self, place))
-            base = None if given is None else kinds[place].take(given, place)
+            value = whole.get(place, getattr(self, place))
+            base = None if value is None else kinds[place].take(value, place)
             if not isinstance(base, Settings):
                 raise InvalidInputError(
-                    f"{place} is {shown(given)}, which has no {', '.join(parts[place])}: give {place} a name, too, {{'name': ..., ...}}"
+                    f"{place} is {shown(value)}, which has no {', '.join(parts[place])}: give {place} a name, too, {{'name': ..., ...}}"
                 )
             return base.replaced(parts[place], place)
 
         with AllFaults() as check:
-            made = {place: check(changed, place) for place in parts}
-        return replace(self, **whole | made)
+            records = {place: check(changed, place) for place in parts}
+        return replace(self, **whole | records)
 
     def resolved(self) -> EnvConfig:
-        """Return a copy with defaults filled in: those of the task, the default engine, and soft
-        contacts for two fingers.
+        """Return a copy with the defaults of the task, the engine and two fingers filled in.
 
         Warns:
             GraspWarning: the torsional friction assumed for two fingers.
         """
         task, limits = self.task, self.limits
-        own = {
+        defaults = {
             name: getattr(task, name)
             for name in ("duration", "max_drift", "max_tilt")
             if getattr(limits, name) is None
@@ -288,20 +287,19 @@ class EnvConfig(Settings):
             engine=engine_of(self.engine),
             object=item,
             disturbance=disturbance,
-            limits=replace(limits, **own),
+            limits=replace(limits, **defaults),
         )
 
     def drawn(self, rng: np.random.Generator) -> EnvConfig:
-        """Return the settings of one episode: a copy with the randomised settings drawn from its
-        generator.
+        """Return the settings of one episode, with the randomised ones drawn from its generator.
 
         Raises:
             GraspError: a function fails, or returns an invalid value.
 
         Example:
             >>> config = EnvConfig(randomize={"mass": (0.1, 0.2), "sensors.delay": lambda rng: rng.choice([0.0, 0.004])})
-            >>> made = config.drawn(np.random.default_rng(0))
-            >>> round(made.object.mass, 3), made.sensors.delay
+            >>> episode = config.drawn(np.random.default_rng(0))
+            >>> round(episode.object.mass, 3), episode.sensors.delay
             (0.102, 0.004)
         """
         return self.override(**draw(dict(self.randomize), self.object.shape, rng))
@@ -312,8 +310,7 @@ class EnvConfig(Settings):
         return self.hand if isinstance(self.hand, HandDescription) else HANDS[self.hand]()
 
     def to_dict(self) -> dict[str, Any]:
-        """Return all settings as JSON values, with the version of the schema; `as_config` reads
-        them.
+        """Return all settings as JSON values, with the version of the schema, for `as_config`.
 
         Raises:
             InvalidInputError: a function, a start rule, or a record of your own class; these have
@@ -327,8 +324,9 @@ class EnvConfig(Settings):
 
 
 def as_config(config: EnvConfig | dict[str, Any] | str | None) -> EnvConfig:
-    """Return a record, or its `to_dict()` or `to_json()`, as a record; missing settings, and None,
-    have the defaults.
+    """Return settings, their `to_dict()` or their `to_json()` as a record; None: the defaults.
+
+    Settings that are missing have their defaults.
 
     Raises:
         InvalidInputError: not settings, no schema or another one than this version reads, or
@@ -341,16 +339,16 @@ def as_config(config: EnvConfig | dict[str, Any] | str | None) -> EnvConfig:
     """
     if config is None or isinstance(config, EnvConfig):
         return EnvConfig() if config is None else config
-    given: Any = config
-    if isinstance(given, str):
+    values: Any = config
+    if isinstance(values, str):
         try:
-            given = json.loads(given)
+            values = json.loads(values)
         except (ValueError, RecursionError) as error:
-            raise InvalidInputError(f"config must be JSON: {error}, got {shown(given)}") from None
-    schema = given.get("schema") if isinstance(given, dict) else None
+            raise InvalidInputError(f"config must be JSON: {error}, got {shown(values)}") from None
+    schema = values.get("schema") if isinstance(values, dict) else None
     if type(schema) is not int:
         raise InvalidInputError(
-            f'config must be an EnvConfig, or a dict or JSON with "schema": {SCHEMA}, got {shown(given)}; give single settings as keywords'
+            f'config must be an EnvConfig, or a dict or JSON with "schema": {SCHEMA}, got {shown(values)}; give single settings as keywords'
         )
     if schema != SCHEMA:
         newer = "written by a newer version: install that one" if schema > SCHEMA else "too old"
@@ -358,33 +356,32 @@ def as_config(config: EnvConfig | dict[str, Any] | str | None) -> EnvConfig:
             f"config has schema {schema}, this version reads {SCHEMA}: it is {newer}"
         )
     return EnvConfig().override(
-        **{str(name): value for name, value in given.items() if name != "schema"}
+        **{str(name): value for name, value in values.items() if name != "schema"}
     )
 
 
-def keywords_to_json(given: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """Return keywords of `gym.make` as JSON values that it accepts as well, and the reasons why
-    some stay as they are.
+def keywords_to_json(kwargs: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
+    """Return keywords of `gym.make` as JSON values, and why some have no JSON.
 
     Records come first: as a dict, a record would otherwise undo a keyword of one of its settings
     that stands before it. A keyword that is no setting stays as it is.
     """
     kinds = {item.name: all_settings()[item.name].kind for item in fields(EnvConfig)}
-    made = dict[str, Any]()
+    keywords = dict[str, Any]()
     faults = list[str]()
-    for name, value in sorted(given.items(), key=lambda item: not isinstance(item[1], Settings)):
-        made[name] = value
+    for name, value in sorted(kwargs.items(), key=lambda item: not isinstance(item[1], Settings)):
+        keywords[name] = value
         try:
             if name == "config":
-                made[name], more = _config_to_json(value)
+                keywords[name], more = _config_to_json(value)
                 faults += more
             elif name in kinds:
-                made[name] = written(kinds[name], value, name)
+                keywords[name] = written(kinds[name], value, name)
             elif name in KEYWORDS or name.partition(".")[0] in kinds:
-                made[name] = to_json(value, name)
+                keywords[name] = to_json(value, name)
         except InvalidInputError as fault:
             faults.append(str(fault))
-    return made, faults
+    return keywords, faults
 
 
 def _config_to_json(value: Any) -> tuple[Any, list[str]]:
@@ -395,8 +392,7 @@ def _config_to_json(value: Any) -> tuple[Any, list[str]]:
 
 @cache
 def all_settings() -> dict[str, About]:
-    """Return the description of every setting by its path, in order: "hand", "object",
-    "object.shape", ....
+    """Return the description of every setting by its path, such as "object.shape", in order.
 
     If settings of several records share a path, such as "disturbance.force", the first is kept.
 
@@ -405,16 +401,14 @@ def all_settings() -> dict[str, About]:
         >>> about.default, about.unit, about.kind.text
         (0.0, 's', '>= 0')
     """
-    found = dict[str, About]()
+    settings = dict[str, About]()
     for path, _, about in described(EnvConfig):
-        found.setdefault(path, about)
-    return found
+        settings.setdefault(path, about)
+    return settings
 
 
 def _similar(name: str) -> list[str]:
-    """Return settings with names similar to an unknown one: with the same last part, or else with a
-    similar path.
-    """
+    """Return settings with the same last part as an unknown name, or else with a similar path."""
     words = {path.replace(".", "_"): path for path in (*all_settings(), *KEYWORDS)}
     same = [path for path in all_settings() if path.rpartition(".")[2] == name]
-    return same or [words[found] for found in get_close_matches(name, words, 3, 0.6)]
+    return same or [words[match] for match in get_close_matches(name, words, 3, 0.6)]

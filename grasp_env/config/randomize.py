@@ -37,24 +37,24 @@ ALLOWED = (*SHORT, *RANDOM, "gravity")
 
 
 def _checked_rules(value: Any, name: str) -> tuple[tuple[str, Any], ...]:
-    given = (
+    entries = (
         list(value.items())
         if isinstance(value, dict)
         else [value]
         if isinstance(value, str)
         else value
     )
-    if not isinstance(given, list | tuple):
+    if not isinstance(entries, list | tuple):
         raise InvalidInputError(
             f"{name} must be a list of some of {', '.join(SHORT)}, or a dict from paths to ranges, got {shown(value)}"
         )
-    found: dict[str, Any] = {}
-    for each in given:
-        path, rule = each if isinstance(each, tuple | list) and len(each) == 2 else (each, True)
+    rules: dict[str, Any] = {}
+    for entry in entries:
+        path, rule = entry if isinstance(entry, tuple | list) and len(entry) == 2 else (entry, True)
         path = choice(path, name, ALLOWED)
         path = SHORT.get(path, path)
-        found[path] = _checked_rule(path, rule)
-    return tuple(found.items())
+        rules[path] = _checked_rule(path, rule)
+    return tuple(rules.items())
 
 
 def _checked_rule(path: str, rule: Any) -> Any:
@@ -80,12 +80,12 @@ def _checked_rule(path: str, rule: Any) -> Any:
 def _written_rules(value: Any, name: str) -> Any:
     """Return checked rules as a dict from paths, and any other value as it is given."""
     pairs = isinstance(value, tuple) and all(
-        isinstance(each, tuple) and len(each) == 2 for each in value
+        isinstance(entry, tuple) and len(entry) == 2 for entry in value
     )
-    given = dict(value) if pairs else value
-    if not isinstance(given, dict):
-        return to_json(given, name)
-    return {str(path): to_json(rule, f"{name}[{path!r}]") for path, rule in given.items()}
+    rules = dict(value) if pairs else value
+    if not isinstance(rules, dict):
+        return to_json(rules, name)
+    return {str(path): to_json(rule, f"{name}[{path!r}]") for path, rule in rules.items()}
 
 
 RANDOMIZE = Kind(_checked_rules, "names, or dict from paths", write=_written_rules)
@@ -93,8 +93,9 @@ RANDOMIZE = Kind(_checked_rules, "names, or dict from paths", write=_written_rul
 
 
 def draw(rules: Mapping[str, Any], shape: str, rng: np.random.Generator) -> dict[str, Any]:
-    """Draw the settings of an episode by path: the numbers of an object of a `shape` first, then
-    the others in the order of the rules.
+    """Draw the settings of an episode by path, first those of an object of a `shape`.
+
+    The other settings follow in the order of the rules.
 
     If one number of the object is drawn, all are drawn, used or not. The later draws then do not
     depend on which ones are used.
@@ -102,7 +103,7 @@ def draw(rules: Mapping[str, Any], shape: str, rng: np.random.Generator) -> dict
     Raises:
         GraspError: a function fails, or returns an invalid value.
     """
-    found: dict[str, Any] = {}
+    settings: dict[str, Any] = {}
     if rules.keys() & OBJECT.keys():
         ranges = OBJECT | {path: rule for path, rule in rules.items() if not callable(rule)}
         if shape != "mesh":
@@ -116,19 +117,19 @@ def draw(rules: Mapping[str, Any], shape: str, rng: np.random.Generator) -> dict
             sides = rng.uniform(low, high, 3).tolist()[: len(SIZES[drawn])]
             if drawn != shape or "object.size" in rules:
                 size = sorted(sides) if drawn == "capsule" else sides
-                found |= {"object.shape": drawn, "object.size": size, "object.inertia": None}
+                settings |= {"object.shape": drawn, "object.size": size, "object.inertia": None}
         for path in ("object.mass", "object.friction"):
             value = rng.uniform(*ranges[path])
             if path in rules:
-                found[path] = value
+                settings[path] = value
     for path in dict.fromkeys((*OBJECT, *rules)):
         if (
             path in rules
             and path != "object.shape"
             and (path not in OBJECT or callable(rules[path]))
         ):
-            found[path] = _draw_one(path, rules[path], rng)
-    return found
+            settings[path] = _draw_one(path, rules[path], rng)
+    return settings
 
 
 def _draw_one(path: str, rule: Any, rng: np.random.Generator) -> Any:

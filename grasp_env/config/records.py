@@ -1,6 +1,4 @@
-"""The small records of `EnvConfig`: sensors, solver, controller, agent, reward, episode limits,
-pictures.
-"""
+"""The small records of `EnvConfig`, such as sensors, solver, controller and reward."""
 
 from __future__ import annotations
 
@@ -313,14 +311,14 @@ class EpisodeLimits(Settings):
     max_drift: float | None = setting(
         None,
         real(POSITIVE),
-        "Distance from the wanted position at which the object counts as lost, usually 0.02 m.",
+        "Distance from the desired position at which the object counts as lost, usually 0.02 m.",
         unit="m",
         none="the task's own",
     )
     max_tilt: float | None = setting(
         None,
         real(POSITIVE),
-        "Angle from the wanted orientation at which the object counts as lost, usually 0.35 rad.",
+        "Angle from the desired orientation at which the object counts as lost, usually 0.35 rad.",
         unit="rad",
         none="the task's own",
     )

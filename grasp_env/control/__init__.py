@@ -1,3 +1,1 @@
-"""The control loop of the hand: sensors, forces, torques, and the closing of the fingers at the
-start of an episode.
-"""
+"""The control loop of the hand, and the closing of the fingers before an episode."""

@@ -20,15 +20,17 @@ _WEIGHT_ERROR = 0.01
 _NEAR, _LOST = 1e-3, 5e-3  # [m] from its place: accepted at the end of the settling; lost
 _AT_LIMIT = 1.0 - 1e-6  # share of a torque limit that counts as the limit
 _END, _STRAY = 5e-3, 0.05  # angle from a joint's limit [rad]; force of links on the object [N]
-# [rad/s] bandwidth of the critically damped jig that holds the object until the hand does
-_JIG_BANDWIDTH = 100.0
-# [kg]: lighter objects would be pushed around in the jig, so they get the second mass there
+# [rad/s] bandwidth of the critically damped fixture that holds the object until the hand does
+_FIXTURE_BANDWIDTH = 100.0
+# [kg]: lighter objects would be pushed around in the fixture, so they get the second mass there
 _LIGHT, _LOADED = 0.1, 0.3
 
 
 def close_hand(scene: Scene, loop: ForceLoop) -> None:
-    """Bring all tips into contact while a jig holds the object; a `SimulationError` if a finger
-    does not arrive in time.
+    """Bring all tips into contact while a fixture holds the object.
+
+    Raises:
+        SimulationError: a finger does not arrive in time.
     """
     loop.begin(scene)
     mass = scene.config.object.mass
@@ -43,15 +45,15 @@ def close_hand(scene: Scene, loop: ForceLoop) -> None:
 
 def _close(scene: Scene, loop: ForceLoop) -> None:
     target = resting_target(1)[0]
-    quiet = 0
-    jig = critically_damped(scene.config.object, _JIG_BANDWIDTH, _JIG_BANDWIDTH)
+    steady = 0
+    fixture = critically_damped(scene.config.object, _FIXTURE_BANDWIDTH, _FIXTURE_BANDWIDTH)
     for _ in range(round(CLOSING_TIME / loop.dt)):
         torques = loop.reach(scene.gravity, target)
         scene.look()
-        scene.advance(torques, [-part for part in jig.wrench(scene.core, target, scene.gravity)])
+        scene.advance(torques, [-x for x in fixture.wrench(scene.core, target, scene.gravity)])
         arrived = scene.look().touching.all() and _slow(scene)
-        quiet = quiet + 1 if arrived else 0
-        if quiet == _QUIET:
+        steady = steady + 1 if arrived else 0
+        if steady == _QUIET:
             return
     raise SimulationError(
         f"the fingers did not come to rest on the object in {CLOSING_TIME} s: "
@@ -60,8 +62,9 @@ def _close(scene: Scene, loop: ForceLoop) -> None:
 
 
 def _slow(scene: Scene) -> bool:
-    """Return True if the fingers are nearly at rest, by speed and by energy: heavy moving fingers
-    would carry the object away.
+    """True if the fingers are nearly at rest.
+
+    Speed and energy both count: heavy moving fingers would carry the object away.
     """
     rates = scene.look().rates
     if not np.abs(rates).max() < _SLOW:
@@ -70,12 +73,14 @@ def _slow(scene: Scene) -> bool:
 
 
 def take_over(scene: Scene, loop: ForceLoop) -> None:
-    """Remove the jig and let the force loop carry the weight until everything is at rest; a
-    `SimulationError` if it does not.
+    """Remove the fixture and let the force loop carry the weight until everything is at rest.
+
+    Raises:
+        SimulationError: the hand or the object does not come to rest.
     """
     loop.reset()
     target = resting_target(1)[0]
-    quiet = 0
+    steady = 0
     every = round(loop.config.controller.rate / loop.config.agent.rate)
     weight = scene.config.object.mass * scene.gravity
     scale = float(np.linalg.norm(weight))
@@ -98,8 +103,8 @@ def take_over(scene: Scene, loop: ForceLoop) -> None:
         )
         away = np.abs(snapshot.position).max()
         # fingers that cannot push in every direction leave the object slightly off its place
-        quiet = quiet + 1 if still and away < (_PLACED if tick < latest else _NEAR) else 0
-        if quiet == _SETTLED:
+        steady = steady + 1 if still and away < (_PLACED if tick < latest else _NEAR) else 0
+        if steady == _SETTLED:
             return
         if away > _LOST:
             break
@@ -114,9 +119,7 @@ def take_over(scene: Scene, loop: ForceLoop) -> None:
 
 
 def _causes(scene: Scene, loop: ForceLoop, otherwise: str, settling: bool) -> str:
-    """Return the likely causes of a failed grasp, with advice: torque limits, joint ranges, links
-    in contact, gaps.
-    """
+    """Return the likely causes of a failed grasp, with advice."""
     snapshot = scene.look()
     hand = scene.config.hand
     kinematics = scene.kinematics

@@ -1,6 +1,4 @@
-"""The force loop: contacts and wrench in, joint torques out, at the control rate; optimised once
-per agent step.
-"""
+"""The force loop: contacts and wrench in, joint torques out, at the control rate."""
 
 from __future__ import annotations
 
@@ -90,21 +88,23 @@ class ForceLoop:
         return f"ForceLoop({self.config.solver.method} from {rule_name(self.initial_force)})"
 
     def begin(self, scene: Scene) -> None:
-        """Prepare everything that depends on the object and the grasp; a `GraspError` if the
-        planned contacts cannot hold an object.
+        """Prepare everything that depends on the object and the grasp.
+
+        Raises:
+            GraspError: the planned contacts cannot hold an object.
         """
         item = scene.config.object
         hand = scene.config.hand
         config = self.config
         self.count = hand.finger_count
         self.scene = scene
-        believed = (
+        factor = (
             hand.tip_friction
             * (1.0 + config.controller.friction_error)
             * config.controller.friction_margin
         )
-        self.friction = item.friction * believed
-        self.torsional_friction = item.torsional_friction * believed
+        self.friction = item.friction * factor
+        self.torsional_friction = item.torsional_friction * factor
         points = np.array(scene.config.contact_points)
         normals = scene.config.contact_normals
         grasp = self.grasp(points, normals)
@@ -135,18 +135,14 @@ class ForceLoop:
         self.reset()
 
     def grasp(self, points: Array, normals: Array) -> Grasp:
-        """Return the grasp of contacts (N, 3) [m] with inward unit normals (N, 3), object frame,
-        and the assumed friction.
-        """
+        """Return the grasp of points and inward normals (N, 3), with the assumed friction."""
         soft = {"contact_model": "soft", "torsional_friction": self.torsional_friction}
         return Grasp.from_contacts(
             points, normals, self.friction, **soft if self.torsional_friction > 0.0 else {}
         )
 
     def reset(self, rng: np.random.Generator | None = None) -> None:
-        """Forget the episode; `rng` gives the seed of the noise in one draw, whatever the settings
-        (None: keep the current noise).
-        """
+        """Forget the episode; `rng` draws one seed for the noise (None: keep the current noise)."""
         self.scene.look()
         self._core.reset()
         self.settling = self._settling
@@ -159,8 +155,9 @@ class ForceLoop:
 
     @property
     def settling(self) -> bool:
-        """True until the hand has taken over the object; until then every controller uses optimised
-        forces and exact sensors.
+        """True until the hand has taken over the object.
+
+        Until then every controller uses optimised forces and exact sensors.
         """
         return self._settling
 
@@ -175,9 +172,7 @@ class ForceLoop:
 
     @property
     def solution(self) -> ForceSolution | None:
-        """The method's last solution; None before the first one, after a solve without a force, and
-        for controllers without a solver.
-        """
+        """The method's last solution; None if there is none, or no solver."""
         if self._core.code not in RESULTS:
             return None
         row = self._row.copy()
@@ -199,7 +194,7 @@ class ForceLoop:
 
     @property
     def fingers(self) -> Indices:
-        """Numbers (n,) of the fingers in contact, as far as the controller knows."""
+        """Numbers (n,) of the fingers in contact, as the controller measures them."""
         mask = self._core.mask
         return np.array(
             [finger for finger in range(self.count) if mask >> finger & 1], dtype=np.int64
@@ -215,11 +210,9 @@ class ForceLoop:
         return self._core.effort
 
     def costs(self) -> tuple[float, float, float]:
-        """Return force, torque and change of force since `begin_step`, as costs from 0 to 1; see
-        `core.Costs`.
-        """
-        found = self._core.costs()
-        return found.force, found.torque, found.change
+        """Return the costs of force, torque and change of force, 0 to 1, since `begin_step`."""
+        costs = self._core.costs()
+        return costs.force, costs.torque, costs.change
 
     def outcome(self, target: Array, error: Array, measured: Array) -> core.Outcome:
         """Return the true state of the hold; see `core.Controller.outcome`."""
@@ -236,25 +229,24 @@ class ForceLoop:
         target: Array,
         due: bool,
         adjustment: Array | None = None,
-        given: Array | None = None,
+        forces: Array | None = None,
     ) -> list[float]:
-        """Run one control tick: read the scene, find the forces, and return the joint torques (M,)
-        [N m] that produce them.
+        """Run one control tick and return the joint torques (M,) [N m].
 
         Args:
             external: (6,) external wrench [N, N m], object frame, as a perfect sensor would measure
                 it.
             gravity: (3,) gravity that the controller assumes [m/s^2], world frame.
-            target: (19,) wanted motion, see `env.plan.Plan`.
+            target: (19,) desired motion, see `env.plan.Plan`.
             due: True at the first tick of an agent's step.
             adjustment: (max(3N - 6, 1),) [N] along internal forces of the planned contacts, added
                 to the start, which is then repaired.
-            given: (N, 3) forces to command instead of optimised ones [N], contact frames.
+            forces: (N, 3) forces to command instead of optimised ones [N], contact frames.
         """
         core = self._core
         noise = self._noise
         reading = self.scene.new_reading()
-        if given is not None and self._held != Hold.direct:
+        if forces is not None and self._held != Hold.direct:
             self._hold(Hold.direct)
         row = None if noise is None else noise()
         by_rule = due and self._needs_rule
@@ -263,7 +255,7 @@ class ForceLoop:
         if not core.see(reading, external, gravity, target, row):
             assert reading is not None  # earlier readings are finite
             raise self.scene.divergence_error(reading)
-        return self._from_rule(adjustment) if by_rule else core.act(due, adjustment, None, given)
+        return self._from_rule(adjustment) if by_rule else core.act(due, adjustment, None, forces)
 
     def _from_rule(self, adjustment: Array | None) -> list[float]:
         """Run the tick of a method with a Python start rule, on the contacts as they are measured."""
@@ -285,8 +277,9 @@ class ForceLoop:
         return torques
 
     def rest(self, external: Array, gravity: Array, target: Array) -> None:
-        """Set the state of the hand at rest, before the first tick: contacts, frames, measured
-        forces as the commanded ones.
+        """Set the state of the hand at rest, before the first tick.
+
+        The measured forces become the commanded ones.
         """
         self._core.see(
             None, external, gravity, target, None if self._noise is None else self._noise()
@@ -295,17 +288,13 @@ class ForceLoop:
         self._core.rewind()
 
     def reach(self, gravity: Array, target: Array) -> list[float]:
-        """Return the joint torques (M,) [N m] of the next control tick, with which all fingers
-        reach for their places.
-        """
+        """Return the torques (M,) [N m] of a tick in which all fingers reach for their places."""
         self._hold(Hold.reach)
         return self.tick(np.zeros(6), gravity, target, False)
 
 
 def adjustment_size(tips: int) -> int:
-    """Return the number of internal forces along which an agent adjusts the start, for a hand with
-    a given number of tips.
-    """
+    """Return the number of internal forces along which an agent adjusts the start."""
     return max(3 * tips - 6, 1)
 
 
@@ -316,8 +305,9 @@ HOLDS = {"optimized": Hold.optimized, "constant_squeeze": Hold.squeeze, "pd": Ho
 def make_optimizer(
     grasp: Grasp, config: EnvConfig, initial_force: str | InitialForceRule
 ) -> ForceOptimizer:
-    """Return the method of the settings for contacts near those of `grasp`; on soft contacts, which
-    the flows do not support, Newton.
+    """Return the configured method for contacts near those of `grasp`.
+
+    On soft contacts, which the flows do not support, Newton replaces them.
     """
     soft = grasp.contacts.soft
     method = config.solver.method
@@ -349,46 +339,49 @@ def control_settings(
     """Return the controller's settings: the object without its payload, and all gains."""
     tips, joints = kinematics.mobility(kinematics.home)
     dt = 1.0 / config.controller.rate
-    made = core.ControlSettings()
-    made.body = believed_body(config, item)
-    made.reach = [
+    settings = core.ControlSettings()
+    settings.body = believed_body(config, item)
+    settings.reach = [
         stable_spring(
             REACH_STIFFNESS,
-            2.0 * math.sqrt(REACH_STIFFNESS * max(REACH_MASS, 1.0 / each)),
+            2.0 * math.sqrt(REACH_STIFFNESS * max(REACH_MASS, 1.0 / mobility)),
             REACH_LIMIT,
-            each,
+            mobility,
             dt,
         )
-        for each in tips
+        for mobility in tips
     ]
-    made.spring = core.Spring(config.controller.pd_stiffness, config.controller.pd_damping, np.inf)
-    made.reach_depth = REACH_FORCE / REACH_STIFFNESS
-    made.posture = [
+    settings.spring = core.Spring(
+        config.controller.pd_stiffness, config.controller.pd_damping, np.inf
+    )
+    settings.reach_depth = REACH_FORCE / REACH_STIFFNESS
+    settings.posture = [
         stable_spring(
             POSTURE_STIFFNESS,
-            max(POSTURE_DAMPING, 2.0 * math.sqrt(POSTURE_STIFFNESS / max(each, 1.0))),
+            max(POSTURE_DAMPING, 2.0 * math.sqrt(POSTURE_STIFFNESS / max(mobility, 1.0))),
             np.inf,
-            each,
+            mobility,
             dt,
         )
-        for each in joints
+        for mobility in joints
     ]
-    made.set_follow(
+    settings.set_follow(
         config.solver.tolerance,
         min(config.solver.max_iterations, FOLLOW_ITERATIONS),
         config.solver.method == "conic",
     )
-    made.squeeze = config.controller.squeeze
-    made.most_change = config.controller.force_rate / config.controller.rate
-    made.release = RELEASE
-    return made
+    settings.squeeze = config.controller.squeeze
+    settings.most_change = config.controller.force_rate / config.controller.rate
+    settings.release = RELEASE
+    return settings
 
 
 def stable_spring(
     stiffness: float, damping: float, limit: float, mobility: float, dt: float
 ) -> core.Spring:
-    """Return a spring and damper for a given mobility [1/kg], [1/(kg m^2)], soft enough to be
-    stable when sampled every `dt` [s].
+    """Return a spring and damper that are stable when sampled every `dt` [s].
+
+    The mobility is in [1/kg] or [1/(kg m^2)].
     """
     if not mobility > 0.0:
         return core.Spring(0.0, 0.0, limit)
@@ -400,9 +393,7 @@ def stable_spring(
 
 
 def believed_body(config: EnvConfig, item: ObjectDescription) -> core.Body:
-    """Return the object with its pose feedback, critically damped and no faster than the delay of
-    the sensors allows.
-    """
+    """Return the object with critically damped pose feedback, no faster than the delay allows."""
     late = late_ticks(config) / config.controller.rate
     most = MAX_BANDWIDTH / late if late > 0.0 else np.inf
     return critically_damped(
@@ -414,10 +405,10 @@ def believed_body(config: EnvConfig, item: ObjectDescription) -> core.Body:
 
 def critically_damped(item: ObjectDescription, push: float, turn: float) -> core.Body:
     """Return an object with pose feedback of two bandwidths [rad/s]."""
-    made = core.Body()
-    made.mass, made.inertia = item.mass, item.inertia_matrix.reshape(-1).tolist()
-    made.position_gain = item.mass * push**2
-    made.position_damping = 2.0 * item.mass * push
-    made.rotation_gain = turn**2
-    made.rotation_damping = 2.0 * turn
-    return made
+    body = core.Body()
+    body.mass, body.inertia = item.mass, item.inertia_matrix.reshape(-1).tolist()
+    body.position_gain = item.mass * push**2
+    body.position_damping = 2.0 * item.mass * push
+    body.rotation_gain = turn**2
+    body.rotation_damping = 2.0 * turn
+    return body

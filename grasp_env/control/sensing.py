@@ -12,18 +12,16 @@ from grasp_env.inputs.arguments import Array
 
 
 def sensor_settings(config: EnvConfig) -> core.SensorSettings:
-    """Return the settings of the core's sensors; the controller knows the delay and extrapolates
-    over it.
-    """
-    made = core.SensorSettings()
-    made.wrench = getattr(core.WrenchSource, config.sensors.wrench)
-    made.tick = 1.0 / config.controller.rate
-    made.keep = keep_factor(config.sensors.estimator_time, made.tick)
-    made.delay = late_ticks(config)
-    made.wrench_delay = config.sensors.wrench_delay
-    made.pose_noise = config.sensors.pose_noise
-    made.tactile_noise = config.sensors.tactile_noise
-    return made
+    """Return the settings of the core's sensors; the controller knows their delay."""
+    settings = core.SensorSettings()
+    settings.wrench = getattr(core.WrenchSource, config.sensors.wrench)
+    settings.tick = 1.0 / config.controller.rate
+    settings.keep = keep_factor(config.sensors.estimator_time, settings.tick)
+    settings.delay = late_ticks(config)
+    settings.wrench_delay = config.sensors.wrench_delay
+    settings.pose_noise = config.sensors.pose_noise
+    settings.tactile_noise = config.sensors.tactile_noise
+    return settings
 
 
 def late_ticks(config: EnvConfig) -> int:
@@ -32,15 +30,14 @@ def late_ticks(config: EnvConfig) -> int:
 
 
 def keep_factor(time: float, tick: float) -> float:
-    """Return the share of its last value that a first-order filter of time constant `time` [s]
-    keeps over `tick` [s].
-    """
+    """Return the share that a first-order filter of time constant `time` keeps over `tick` [s]."""
     return math.exp(-tick / time) if time > 1e-3 * tick else 0.0
 
 
 class NoiseRows:
-    """Rows of `width` standard normal numbers, drawn in blocks from a generator of their own: a
-    seed gives the same rows however many.
+    """Rows of `width` standard normal numbers.
+
+    Row k depends only on the seed and k, so a longer run has the same beginning.
     """
 
     _BLOCK = 64

@@ -1,6 +1,4 @@
-"""The part of the contact forces that no motor can produce: the structure of the fingers carries
-it.
-"""
+"""Contact forces that no motor can produce: the structure of the fingers carries them."""
 
 from __future__ import annotations
 
@@ -18,10 +16,8 @@ from grasp_env.sim.snapshot import Snapshot
 MAX_CARRIED = 0.65
 """Largest share of a finger's force that its structure may carry without a warning.
 
-In 34 grasps by five hands (Dex3, Linker O7, Ability,
-BrainCo, iCub) the engines agreed below it: Bullet held 26 of 32 trials, MuJoCo 27. Above it Bullet
-held 30 of 104, MuJoCo 69.
-"""
+In 34 grasps by five hands (Dex3, Linker O7, Ability, BrainCo, iCub) the engines agreed below it:
+Bullet held 26 of 32 trials, MuJoCo 27. Above it Bullet held 30 of 104, MuJoCo 69."""
 
 
 class FingerStructure(NamedTuple):
@@ -37,17 +33,15 @@ class FingerStructure(NamedTuple):
     share: Array
 
     def warning(self, names: Sequence[str]) -> str:
-        """Return a warning about fingers, by name, whose structure carries more than `MAX_CARRIED`;
-        empty if there are none.
-        """
+        """Return a warning about fingers whose structure carries more than `MAX_CARRIED`, or ""."""
         listed = ", ".join(
             f"{share:.0%} of the force of {name!r} "
             + (
-                f"(motors make {made} of 3 components)"
-                if made < 3
+                f"(motors make {count} of 3 components)"
+                if count < 3
                 else "(other fingers share its motors)"
             )
-            for name, made, share in zip(
+            for name, count, share in zip(
                 names, self.components.tolist(), self.share.tolist(), strict=True
             )
             if share > MAX_CARRIED
@@ -62,8 +56,7 @@ class FingerStructure(NamedTuple):
 def finger_structure(
     snapshot: Snapshot, kinematics: HandKinematics, grasp: Grasp, wrenches: Array
 ) -> FingerStructure:
-    """Return the shares of the forces that motors produce and that structure carries, in the
-    current posture.
+    """Return the shares of the forces that structure carries in the current posture.
 
     Contact forces f take the motor torques J^T f. J is the Jacobian of all contacts, with coupled
     joints and motors that several fingers share. The part of f in the null space of J^T takes no
@@ -80,9 +73,9 @@ def finger_structure(
     components: Indices = np.array(
         [motor_force_basis(part).shape[1] for part in jacobian], dtype=np.int64
     )
-    found = optimize_forces(grasp, wrenches, workers=1).force
+    optimal = optimize_forces(grasp, wrenches, workers=1).force
     forces = np.einsum(
-        "nij,mnj->mni", turn @ grasp.frames, found[np.isfinite(found).all(axis=(1, 2))]
+        "nij,mnj->mni", turn @ grasp.frames, optimal[np.isfinite(optimal).all(axis=(1, 2))]
     ).reshape(-1, 3 * count)
     carried = forces - forces @ span @ span.T
     parts = [(part.reshape(-1, count, 3) ** 2).sum(axis=(0, 2)) for part in (carried, forces)]

@@ -1,6 +1,4 @@
-"""Annotations of an environment's pictures: forces, cones, the wrench to balance, the state of the
-episode; all at one scale.
-"""
+"""Annotations of an environment's pictures: forces, cones, the wrench, the episode's state."""
 
 from __future__ import annotations
 
@@ -61,8 +59,7 @@ _ALIKE = 0.1  # largest difference between colours that count as equal
 
 
 class Annotator:
-    """Makes the annotations of the pictures of one environment, with its `resolved` settings and
-    the hand in its scene.
+    """Makes the annotations of one environment's pictures, with its `resolved` settings.
 
     The scales follow from the largest force and moment in the plan of an episode, known at reset.
     They stay constant within an episode. A later episode with larger forces makes them smaller;
@@ -78,13 +75,12 @@ class Annotator:
         self._scale = self._turn = np.inf
 
     def expect(self, plan: Plan, scene: Scene, friction: float) -> None:
-        """Adapt the scales to the largest arrows of an episode, for the friction coefficient that
-        the controller assumes.
-        """
+        """Adapt the scales to the largest arrows of an episode, at the assumed friction."""
         config = self._config
         wrenches = _wrenches(plan, scene)
         pull, moment = (
-            float(np.linalg.norm(part, axis=1).max()) for part in (wrenches[:, :3], wrenches[:, 3:])
+            float(np.linalg.norm(vectors, axis=1).max())
+            for vectors in (wrenches[:, :3], wrenches[:, 3:])
         )
         force = config.pictures.force or max(
             _largest(config, scene, wrenches, friction), WRENCH_STRETCH * pull
@@ -97,8 +93,9 @@ class Annotator:
     def __call__(
         self, loop: ForceLoop, scene: Scene, time: float, outcome: Outcome, failure: str
     ) -> Annotation:
-        """Return the annotation of the current picture, `time` [s] after the reset; `failure` is ""
-        while the object is held.
+        """Return the annotation of the current picture, `time` [s] after the reset.
+
+        `failure` is "" while the object is held.
         """
         snapshot = scene.look()
         solution = loop.solution
@@ -139,7 +136,7 @@ def title(config: EnvConfig) -> str:
     name = name_of(config.disturbance)
     disturbance = DISTURBANCES.get(name, name).strip("_").replace("_", " ")
     what = [
-        each for each in (config.task.caption.format_map(vars(config.task)), disturbance) if each
+        text for text in (config.task.caption.format_map(vars(config.task)), disturbance) if text
     ]
     return f"{config.task.name.replace('_', ' ')}{': ' if what else ''}{', '.join(what)}"
 
@@ -163,8 +160,8 @@ def _largest(config: EnvConfig, scene: Scene, wrenches: Array, friction: float) 
     if config.controller.kind != "optimized":
         return config.controller.squeeze / len(points)
     arm = float(np.linalg.norm(points, axis=1).mean())
-    asked = np.linalg.norm(wrenches[:, :3], axis=1) + np.linalg.norm(wrenches[:, 3:], axis=1) / arm
-    worst = int(asked.argmax())
+    loads = np.linalg.norm(wrenches[:, :3], axis=1) + np.linalg.norm(wrenches[:, 3:], axis=1) / arm
+    worst = int(loads.argmax())
     try:
         grasp = Grasp.from_contacts(points, scene.config.contact_normals, friction)
         solution = optimize_force(
@@ -175,4 +172,4 @@ def _largest(config: EnvConfig, scene: Scene, wrenches: Array, friction: float) 
         )
         return float(np.linalg.norm(solution.force, axis=1).max())
     except GraspError:  # two fingers, which need torsion: each holds half of the wrench by friction
-        return 0.5 * asked[worst] / friction
+        return 0.5 * loads[worst] / friction

@@ -46,8 +46,7 @@ NO_COSTS = (0.0, 0.0, 0.0)
 
 
 class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
-    """Simulated hand whose fingers hold an object against wrenches, or move it along a given
-    motion.
+    """Simulated hand that holds an object against wrenches, or moves it along a given motion.
 
     ## Step
     The agent acts at 50 Hz, the controller at 250 Hz, the physics at that rate or faster (see
@@ -116,10 +115,10 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     |---|---|---|---|---|---|
     | 0-2 | `force` | wrench to balance: force | N | object | 200 |
     | 3-5 | `moment` | wrench to balance: moment | N m | object | 20 |
-    | 6-8 | `position` | object position minus the wanted one | m | world | 1 |
-    | 9-11 | `orientation` | object orientation against the wanted one | rad | world | 3.2 |
-    | 12-14 | `linear_velocity` | object linear velocity minus the wanted one | m/s | world | 10 |
-    | 15-17 | `angular_velocity` | object angular velocity minus the wanted one | rad/s | world | 50 |
+    | 6-8 | `position` | object position minus the desired one | m | world | 1 |
+    | 9-11 | `orientation` | object orientation against the desired one | rad | world | 3.2 |
+    | 12-14 | `linear_velocity` | object linear velocity minus the desired one | m/s | world | 10 |
+    | 15-17 | `angular_velocity` | object angular velocity minus the desired one | rad/s | world | 50 |
     | 18-29 | `contact_points` | contact point | m | object | 0.5 |
     | 30-41 | `normals` | inward normal | 1 | object | 1 |
     | 42-53 | `commanded_force` | commanded force (normal, o, t) | N | contact | 500 |
@@ -289,8 +288,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Return to the settled grasp, with a new disturbance, and a new object if randomised; see
-        the class.
+        """Return to the settled grasp, with a new disturbance and new randomised settings.
 
         A closed environment opens again.
 
@@ -428,8 +426,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
 
     @property
     def spec(self) -> EnvSpec | None:
-        """The specification that `gym.make` used; its `max_episode_steps` follows from
-        `limits.duration`.
+        """The specification that `gym.make` used; `limits.duration` sets its `max_episode_steps`.
 
         Its keywords are JSON values, except those without JSON, such as functions.
         `gym.make(EnvSpec.from_json(spec.to_json()))` makes the same environment again.
@@ -446,9 +443,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         return GraspSpec(**{**fitting, "max_episode_steps": self._step_limit})
 
     def truncate_after(self, steps: int) -> None:
-        """Truncate episodes after a given number of agent steps from the next reset on, as
-        `max_episode_steps` of `gym.make` does.
-        """
+        """Truncate episodes after `steps` agent steps, from the next reset on."""
         if steps == self._step_limit:
             return
         self.config = self.config.override(
@@ -469,14 +464,13 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     def _simulate(self, scene: Scene, numbers: list[float]) -> None:
         agent, loop = self.config.agent, self._loop
         loop.begin_step()
-        adjustment = given = None
+        adjustment = forces = None
         if agent.action_mode == "contact_force":
-            given = self._forces(np.array(numbers))
-        elif (
-            agent.action_mode == "initial_force" and any(numbers) and loop.count > 2
-        ):  # the one squeeze of two soft contacts is not adjusted
+            forces = self._forces(np.array(numbers))
+        # the one squeeze of two soft contacts is not adjusted
+        elif agent.action_mode == "initial_force" and any(numbers) and loop.count > 2:
             adjustment = agent.action_scale * np.array(numbers)
-        assumed_gravity = scene.gravity if self._measured_wrench else self._nominal_gravity
+        assumed_gravity = self._assumed_gravity(scene)
         acts = self._plan_acts
         for k in range(self._ticks_per_step):
             tick = min(self._tick, self._last_row)
@@ -488,7 +482,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
             if acts:
                 assumed_gravity = self._assumed_gravity(scene)
             torques = loop.tick(
-                external, assumed_gravity, self._targets[tick], k == 0, adjustment, given
+                external, assumed_gravity, self._targets[tick], k == 0, adjustment, forces
             )
             scene.advance(self._delivered(torques) if self._imperfect_motors else torques, push)
             self._tick += 1
@@ -502,8 +496,11 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         return np.clip(delivered, -self._torque_limits, self._torque_limits).tolist()
 
     def _apply_plan(self, scene: Scene, tick: int) -> tuple[Array, list[float] | None]:
-        """Apply the plan of a tick; return the external wrench (6,), object frame, and the same for
-        the simulator, None if zero.
+        """Apply the plan of a tick and return its wrench (6,), object frame.
+
+        The second value is that of the simulator, None if it is zero.
+
+        The second is for the simulator: it is None if zero.
         """
         plan = self._plan
         if self._gravity_differs:
@@ -521,8 +518,9 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         return external, push
 
     def _assumed_gravity(self, scene: Scene) -> Array:
-        """Return the gravity (3,) [m/s^2] that the controller assumes: the true one if wrenches are
-        measured, else the nominal one.
+        """Return the gravity (3,) [m/s^2] that the controller assumes, true or nominal.
+
+        It is the true one if wrenches are measured.
         """
         return scene.gravity if self._measured_wrench else self._nominal_gravity
 
@@ -568,8 +566,9 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         return [min(max(number, -1.0), 1.0) for number in numbers]
 
     def _forces(self, numbers: Array) -> Array:
-        """Return the forces (N, 3) of an action in mode "contact_force": normal in [0, 2
-        action_scale], tangential in +-action_scale.
+        """Return the forces (N, 3) of an action in mode "contact_force".
+
+        Normal forces lie in [0, 2 action_scale], tangential ones in +-action_scale.
         """
         scale = self.config.agent.action_scale
         forces = scale * numbers.reshape(-1, 3)
@@ -610,9 +609,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         }
 
     def _annotation(self, scene: Scene) -> Annotation | None:
-        """Return the annotation of a picture; None before the first reset and after the simulation
-        diverged.
-        """
+        """Return the annotation of a picture, or None before a reset and after a divergence."""
         if not self._started or self._failure == "simulation_diverged":
             return None
         return self._annotator(
@@ -620,9 +617,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         )
 
     def _report_structure(self, scene: Scene, plan: Plan) -> None:
-        """Compute the fraction of the fingers' forces that no motor can produce under the plan's
-        loads; warn once if it is large.
-        """
+        """Compute the shares of the forces that no motor can produce; warn once about large ones."""
         snapshot = scene.look()
         gravity = plan.gravity[:: self._ticks_per_step]
         loads = plan.wrench[:: self._ticks_per_step].copy()
@@ -646,9 +641,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
 
 
 def why_idle(config: EnvConfig) -> str:
-    """Return the reason why adjusting the initial force changes nothing; empty if it does, or if
-    actions are ignored on purpose.
-    """
+    """Return why adjusting the start changes nothing; "" if it does, or is off on purpose."""
     if config.agent.action_mode != "initial_force":
         return ""
     if config.controller.kind != "optimized":
@@ -670,10 +663,10 @@ def finish(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
     `max_episode_steps` sets the length of an episode, shorter or longer than the task's. Warn if
     actions change nothing.
     """
-    made, layer = env.unwrapped, env
-    if not isinstance(made, FourFingerGrasp):
+    inner, layer = env.unwrapped, env
+    if not isinstance(inner, FourFingerGrasp):
         return env
-    if reason := why_idle(made.config):
+    if reason := why_idle(inner.config):
         warn(
             f"an agent's actions change nothing: {reason}. Leave the method at 'reduced_flow' for an agent that adjusts its start, "
             "give it the forces with action_mode='contact_force', or say action_mode='none'"
@@ -681,8 +674,8 @@ def finish(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
     while isinstance(layer, gym.Wrapper):
         if isinstance(layer, gym.wrappers.TimeLimit):
             # `layer.spec` has it, too, but keeps the old settings
-            made.truncate_after(layer._max_episode_steps)
+            inner.truncate_after(layer._max_episode_steps)
         layer = layer.env
-    if made.spec is not None:  # `gym.make` of this specification completes the environment, too
-        made.spec = replace(made.spec, additional_wrappers=(FINISH,))
+    if inner.spec is not None:  # `gym.make` of this specification completes the environment, too
+        inner.spec = replace(inner.spec, additional_wrappers=(FINISH,))
     return env

@@ -1,5 +1,6 @@
-"""The layout of the observation: key, name, size, unit, frame, bound. A test compares the docstring
-of the environment with it.
+"""The layout of the observation: key, name, size, unit, frame, bound.
+
+A test compares the docstring of the environment with it.
 """
 
 from __future__ import annotations
@@ -32,11 +33,11 @@ def fields(tips: int = 4, joints: int = 12) -> tuple[Field, ...]:
     return (
         Field("force", "wrench to balance: force", 3, "N", "object", 200.0),
         Field("moment", "wrench to balance: moment", 3, "N m", "object", 20.0),
-        Field("position", "object position minus the wanted one", 3, "m", "world", 1.0),
-        Field("orientation", "object orientation against the wanted one", 3, "rad", "world", 3.2),
+        Field("position", "object position minus the desired one", 3, "m", "world", 1.0),
+        Field("orientation", "object orientation against the desired one", 3, "rad", "world", 3.2),
         Field(
             "linear_velocity",
-            "object linear velocity minus the wanted one",
+            "object linear velocity minus the desired one",
             3,
             "m/s",
             "world",
@@ -44,7 +45,7 @@ def fields(tips: int = 4, joints: int = 12) -> tuple[Field, ...]:
         ),
         Field(
             "angular_velocity",
-            "object angular velocity minus the wanted one",
+            "object angular velocity minus the desired one",
             3,
             "rad/s",
             "world",
@@ -61,9 +62,7 @@ def fields(tips: int = 4, joints: int = 12) -> tuple[Field, ...]:
 
 
 def action_size(mode: str, tips: int) -> int:
-    """Return the size of an action in mode "initial_force", "contact_force" or "none" for a hand
-    with a given number of tips.
-    """
+    """Return the size of an action in a mode, for a hand with a number of tips."""
     return {"initial_force": adjustment_size(tips), "contact_force": 3 * tips, "none": 1}[mode]
 
 
@@ -92,13 +91,14 @@ class Observer:
     def named(self, vector: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
         """Return the blocks of an observation (size,) by their keys."""
         return {
-            block.key: part
-            for block, part in zip(self.fields, np.split(vector, self._ends), strict=True)
+            block.key: values
+            for block, values in zip(self.fields, np.split(vector, self._ends), strict=True)
         }
 
     def watch(self, snapshot: Snapshot, loop: ForceLoop) -> None:
-        """Select the arrays to observe, in the order of `fields`: views that each reading and each
-        tick overwrite.
+        """Select the arrays to observe, in the order of `fields`.
+
+        They are views that each reading and each tick overwrite.
         """
         self._loop = loop
         parts = (
@@ -115,6 +115,6 @@ class Observer:
         self._gather = Gather(list(parts), self.bound)
 
     def __call__(self, target: Array) -> tuple[NDArray[np.float32], Outcome]:
-        """Return the clipped observation and the state of the hold; target: (19,) wanted motion."""
+        """Return the clipped observation and the state of the hold; target: (19,) desired motion."""
         outcome = self._loop.outcome(target, self.error, self.measured)
         return self._gather(), outcome

@@ -34,20 +34,21 @@ class Plan:
 
 
 def make_plan(config: EnvConfig, rng: np.random.Generator, mass: float) -> Plan:
-    """Make the plan of one episode of `resolved` settings, T = round(limits.duration *
-    controller.rate) + 1 rows, for an object of a mass [kg].
+    """Make the plan of one episode of `resolved` settings for an object of a mass [kg].
+
+    It has T = round(limits.duration * controller.rate) + 1 rows.
 
     It draws once from the generator. A seed gives the same disturbance for every duration: a longer
     episode extends a shorter one. (Only the desired motion of "move" depends on the duration, as it
     ends at rest.)
     """
-    own = np.random.default_rng(int(rng.integers(2**63)))
+    generator = np.random.default_rng(int(rng.integers(2**63)))
     limits = config.limits
     tick = 1.0 / config.controller.rate
     assert limits.duration is not None
     assert config.disturbance is not None
     times = np.arange(round(limits.duration * config.controller.rate) + 1) / config.controller.rate
-    wrench, gravity = disturb(config.disturbance, times, own, config)
+    wrench, gravity = disturb(config.disturbance, times, generator, config)
     task = config.task
     return Plan(
         wrench,

@@ -28,7 +28,7 @@ class Stage:
     While shape and size stay the same, the fingers close only once. The state "closed", in which
     they just touch, is kept, and every mass and friction settles from there. Another shape is built
     and closed anew. In both cases an episode starts from the same bits, whatever came before. A
-    `GraspError` tells that the hand cannot reach or hold the object.
+    `GraspError` means that the hand cannot reach or hold the object.
 
     Attributes:
         episode: the settings of the episode, including drawn ones.
@@ -59,8 +59,9 @@ class Stage:
         return self._scene
 
     def set(self, rng: np.random.Generator) -> None:
-        """Let the hand hold the object of the next episode at rest, with randomised settings drawn
-        from `rng`, `REDRAWS` times at most.
+        """Let the hand hold the object of the next episode, with randomised settings from `rng`.
+
+        It draws at most `REDRAWS` times.
         """
         scene = self.scene
         if not self.config.randomize:
@@ -89,9 +90,7 @@ class Stage:
         raise SimulationError(f"none of {REDRAWS} random objects could be held; the last: {failed}")
 
     def _hold(self, item: ObjectDescription) -> None:
-        """Let the hand hold an object: from its place for the first object or, if it is not
-        `placed`, from one for this object.
-        """
+        """Let the hand hold an object, from a place for this object unless the hand is `placed`."""
         first = self._nominal is None
         failures = list[GraspError]()
         for place in self._places(item):

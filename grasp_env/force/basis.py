@@ -20,10 +20,9 @@ from grasp_env.inputs.arguments import Array, ContactForces, Wrench, as_wrench, 
 
 @dataclass(frozen=True, eq=False)
 class OfflineBasis:
-    """The 12-basis of a grasp: argmin Phi for +e_1..+e_6, -e_1..-e_6 (1 N or 1 N m each) and for w
-    = 0 (paper, Sec. III).
+    """The 12-basis of a grasp: argmin Phi for +-e_1..+-e_6 and for w = 0 (paper, Sec. III).
 
-    It exists for every grasp with force closure. Its forces are balanced for that grasp only; if
+    The unit wrenches are 1 N or 1 N m; +e_1..+e_6 come first. It exists for every grasp with force closure. Its forces are balanced for that grasp only; if
     contacts move, use `moved_to`.
 
     Attributes:
@@ -47,8 +46,9 @@ class OfflineBasis:
     def compute(
         cls, grasp: Grasp, objective: Objective | None = None, warm: OfflineBasis | None = None
     ) -> OfflineBasis:
-        """Solve the 13 problems (Newton, relative gap 1e-10), from a `warm` basis of a nearby grasp
-        if there is one; `objective` None: the defaults.
+        """Solve the 13 problems by Newton to a gap of 1e-10; `objective` None: the defaults.
+
+        A `warm` basis of a nearby grasp saves iterations.
 
         Raises:
             InfeasibleStartError: the grasp has no force closure, so some unit wrenches have no
@@ -87,8 +87,7 @@ class OfflineBasis:
         return list(_CACHE.get(as_grasp(grasp), {}).values())
 
     def moved_to(self, grasp: Grasp) -> OfflineBasis:
-        """Return the basis of a nearby grasp: each optimum is carried over by the tangent
-        correction and optimised again.
+        """Return the basis of a nearby grasp, whose optima start from the tangent correction.
 
         A cached basis of `grasp` is returned unchanged, so a return to that grasp gives bitwise the
         same basis.
@@ -113,11 +112,9 @@ class OfflineBasis:
         return self.cone_forces[12].reshape(-1, 3) / self.cone_divisor
 
     def combine(self, wrench: Wrench, printed: bool = False) -> ContactForces:
-        """Return the non-negative combination sum E_k f_k (N, 3) [N] with w = sum E_k (+-e_k) (Eqs.
+        """Return the non-negative combination sum E_k f_k (N, 3) [N] with w = sum E_k (+-e_k).
 
-        33 and 34).
-
-        The printed combination is zero for a zero `wrench`, where P is singular. Unless `printed`,
+        These are Eqs. 33 and 34. The printed combination is zero for a zero `wrench`, where P is singular. Unless `printed`,
         max(0, 1 - sum E_k) times `rest` is added. The result is balanced by linearity and strictly
         inside the cones by convexity.
         """
@@ -136,9 +133,9 @@ def core_contacts(grasp: Grasp, objective: Objective) -> core.Contacts:
     lam = objective.barrier_weight
     contacts = as_grasp(grasp).contacts
     uniform = type(omega) is float and type(lam) is float
-    given = (omega, lam) if uniform else (objective.weights(contacts.count),)
+    weights = (omega, lam) if uniform else (objective.weights(contacts.count),)
     try:
-        return contacts.weighed(*given)
+        return contacts.weighed(*weights)
     except ValueError:
         hint = "; torsions of soft contacts do not count here" if grasp.rank == 6 else ""
         raise rank_error(min(grasp.rank, 5), contacts.count, hint) from None
@@ -147,23 +144,25 @@ def core_contacts(grasp: Grasp, objective: Objective) -> core.Contacts:
 def starter(
     grasp: Grasp, objective: Objective, model: core.Model | None = None
 ) -> core.ForceOptimizer:
-    """Return a compiled optimizer whose start is the combination of the grasp's 12-basis, the
-    fallback of repairs and predictions.
+    """Return a compiled optimizer that starts from the combination of the grasp's 12-basis.
+
+    It is the fallback of repairs and predictions.
     """
     basis = OfflineBasis.of(grasp, objective)
-    made = _compiled(grasp, objective, start=COMBINATION, model=model)
-    made.set_basis(basis.cone_forces)
-    return made
+    optimizer = _compiled(grasp, objective, start=COMBINATION, model=model)
+    optimizer.set_basis(basis.cone_forces)
+    return optimizer
 
 
 def start_of(
     optimizer: core.ForceOptimizer, start: int, wrench: Wrench, force: ContactForces | None
 ) -> ContactForces | None:
-    """Return the start (N, 3) [N] of a `starter`, by its index in `STARTS`, or None if it has none;
-    some take a force (N, 3) [N].
+    """Return the start (N, 3) [N] of a `starter` by its index in `STARTS`, or None.
+
+    Some starts take a force (N, 3) [N].
     """
-    made: Any = optimizer.start(wrench, None, core.Request(start=start, force=force))
-    return made.initial_force.copy() if made.code == STARTED else None
+    solution: Any = optimizer.start(wrench, None, core.Request(start=start, force=force))
+    return solution.initial_force.copy() if solution.code == STARTED else None
 
 
 def _compiled(grasp: Grasp, objective: Objective, **options: Any) -> core.ForceOptimizer:

@@ -107,11 +107,11 @@ def _many_grasps(
         distinct = [grasps[k].contacts for k in order[news].tolist()]
 
         def work(part: slice) -> None:
-            mine = order[begins[part.start] : begins[part.stop]]
+            chosen = order[begins[part.start] : begins[part.stop]]
             counts = begins[part.start : part.stop + 1] - begins[part.start]
-            found = np.empty((len(mine), records.shape[1]))
-            solve(distinct[part], counts.astype(np.float64), loads[mine], found)
-            records[mine] = found
+            rows = np.empty((len(chosen), records.shape[1]))
+            solve(distinct[part], counts.astype(np.float64), loads[chosen], rows)
+            records[chosen] = rows
 
         over_parts(work, len(distinct), GRASPS, threads)
         unfinished = np.flatnonzero(records[:, CODE] != CONVERGED)

@@ -15,9 +15,7 @@ from grasp_env.inputs.arguments import AllFaults, as_array
 
 
 class Call(NamedTuple):
-    """Arrays of a call in the order of the core's arguments, or None for the optimizer's own; see
-    `ForceOptimizer.solve`.
-    """
+    """Arrays of `ForceOptimizer.solve` in the core's order; None: the optimizer's own."""
 
     positions: Any
     normals: Any
@@ -37,8 +35,9 @@ def checked_call(
     torque_bias: Any = None,
     contacts: Any = None,
 ) -> Call:
-    """Check the arguments of a call of `ForceOptimizer.solve` on its contacts, and on limits whose
-    Jacobian has the shape (N, *motions).
+    """Check the arguments of `ForceOptimizer.solve`.
+
+    Limits have a Jacobian of shape (N, *motions).
     """
     n = grasp.n_contacts
     joints = motions[1]
@@ -52,7 +51,7 @@ def checked_call(
         checked = checked_jacobian(jacobian, n, touch)
         if checked.shape[2] != joints:
             raise InvalidInputError(
-                f"jacobian must be that of {joints} joints, got shape {checked.shape}"
+                f"jacobian must have {joints} joints, got shape {checked.shape}"
             )
         if joints and checked.shape[1:] != motions:
             raise InvalidInputError(
@@ -75,16 +74,16 @@ def checked_call(
 def _mask(contacts: Any, count: int) -> Any:
     """Return (N,) bool of the contacts that touch, from true and false or from 1 and 0."""
     try:
-        given = np.asarray(contacts)
+        flags = np.asarray(contacts)
     except Exception:  # numpy's own: rows of different lengths, arrays that refuse
-        given = np.asarray(None)
+        flags = np.asarray(None)
     if np.ma.is_masked(contacts):
         raise InvalidInputError(
             f"contacts must be true or false each, none of them masked, got {shown(contacts)}"
         )
-    if given.shape == (count,) and given.dtype.kind in "biuf" and count <= 64:
-        mask = np.ascontiguousarray(given, dtype=bool)
-        if given.dtype.kind == "b" or (mask == given).all():
+    if flags.shape == (count,) and flags.dtype.kind in "biuf" and count <= 64:
+        mask = np.ascontiguousarray(flags, dtype=bool)
+        if flags.dtype.kind == "b" or (mask == flags).all():
             return mask
     raise InvalidInputError(
         f"contacts must be ({count},) of true and false, of at most 64 contacts, got {shown(contacts)}"
@@ -92,8 +91,10 @@ def _mask(contacts: Any, count: int) -> Any:
 
 
 def touching_grasp(grasp: Grasp, call: Call) -> Grasp:
-    """Return the touching contacts of a call as a grasp; a `RankDeficientGraspError` if no contact
-    touches.
+    """Return the touching contacts of a call as a grasp.
+
+    Raises:
+        RankDeficientGraspError: no contact touches.
     """
     positions, normals, friction, _, _, mask = call
     if mask is not None and not mask.any():

@@ -26,9 +26,9 @@ METRIC = np.array([3.0, 2.0, 2.0])
 
 
 def description_matrix(force: ContactForces, friction: Array) -> Array:
-    """Return P, the (3N, 3N) block-diagonal description matrix of `force` (N, 3) [N] (Eqs.
+    """Return P, the (3N, 3N) block-diagonal description matrix of `force` (N, 3) [N].
 
-    4 and 5); `friction` is a number or (N,).
+    See Eqs. 4 and 5. `friction` is a number or (N,).
 
     Example:
         >>> description_matrix(np.array([[10.0, 1.0, 2.0]]), np.array([0.4]))
@@ -48,7 +48,7 @@ def _forces(force: ContactForces, friction: Array) -> Array:
     x = as_array(force, (None, 3), "force", ranges.SIZE)
     if not 1 <= len(x) <= ranges.CONTACTS:
         raise InvalidInputError(
-            f"force must be that of 1 to {ranges.CONTACTS} contacts, got shape {x.shape}"
+            f"force must have 1 to {ranges.CONTACTS} contacts, got shape {x.shape}"
         )
     mu = as_array(friction, None, "friction", ranges.Range(0.0, ranges.FRICTION.high))
     if mu.shape not in ((), (len(x),)):

@@ -1,6 +1,4 @@
-"""Initial-force rules: callables rule(grasp, wrench) -> (N, 3) force, balanced and strictly inside
-the friction cones.
-"""
+"""Initial-force rules: rule(grasp, wrench) -> (N, 3) force, balanced and inside the cones."""
 
 from __future__ import annotations
 
@@ -35,8 +33,9 @@ the imbalance."""
 
 
 class InitialForceRule(Protocol):
-    """An initial-force rule: rule(grasp, wrench) -> force (N, 3) [N], balanced and strictly inside
-    the cones.
+    """An initial-force rule: rule(grasp, wrench) -> force (N, 3) [N].
+
+    The force is balanced and strictly inside the cones.
 
     Any function with this signature will do. It receives the `Grasp` and the external wrench (6,)
     [N, N m], and raises `InfeasibleStartError` if it finds no such force.
@@ -73,7 +72,7 @@ class StartRequest:
 
     Attributes:
         start: index into `STARTS`.
-        name: name of a given force in the solution; None: that of `STARTS`.
+        name: name of the force in the solution; None: the name in `STARTS`.
         replaced: True if the paper's combination replaced a rule's force.
         force: (N, 3) given force [N].
         before: the solution to carry over in place of the last one.
@@ -109,15 +108,13 @@ def rule_name(rule: Any) -> str:
     return next((name for name in named if isinstance(name, str) and name), type(rule).__name__)
 
 
-def call_rule(rule: Any, function: Callable[..., Any], *given: Any) -> Any:
-    """Call a user's rule; any failure becomes an `InfeasibleStartError`, whose `__cause__` is the
-    rule's own error.
-    """
+def call_rule(rule: Any, function: Callable[..., Any], *args: Any) -> Any:
+    """Call a user's rule; any failure becomes an `InfeasibleStartError`, with it as `__cause__`."""
     takes = (
         "a rule takes (grasp, wrench) and returns an (N, 3) force, or raises InfeasibleStartError"
     )
     what = f"initial-force rule {rule_name(rule)!r}"
-    return call_user(function, *given, what=what, takes=takes, fault=InfeasibleStartError)
+    return call_user(function, *args, what=what, takes=takes, fault=InfeasibleStartError)
 
 
 @dataclass(frozen=True)
@@ -162,8 +159,8 @@ def checked_initial(initial: Any) -> Any:
             else ""
         )
         return choice(initial, "initial-force rule", NAMES, hint)
-    given = initial is None or isinstance(initial, ForceSolution | np.ndarray | list | tuple)
-    if not given and (isinstance(initial, type) or not callable(initial)):
+    is_force = initial is None or isinstance(initial, ForceSolution | np.ndarray | list | tuple)
+    if not is_force and (isinstance(initial, type) or not callable(initial)):
         raise InvalidInputError(
             f"initial must be a rule's name, a rule(grasp, wrench), an (N, 3) force or a ForceSolution, got {shown(initial)}"
         )
@@ -171,8 +168,10 @@ def checked_initial(initial: Any) -> Any:
 
 
 def rule_start(initial: Any, grasp: Grasp, wrench: Wrench, objective: Objective) -> StartRequest:
-    """Return the start made by a rule or by a given force (N, 3) [N]; an `InfeasibleStartError` if
-    the rule returns none.
+    """Return the start that a rule makes, or that is a given force (N, 3) [N].
+
+    Raises:
+        InfeasibleStartError: the rule returns none.
     """
     if isinstance(initial, np.ndarray | list | tuple):
         return StartRequest(GIVEN, "given", force=_force("given", initial, grasp))
@@ -181,9 +180,9 @@ def rule_start(initial: Any, grasp: Grasp, wrench: Wrench, objective: Objective)
     if call_rule(initial, lambda: bool(getattr(initial, "objective", objective) != objective)):
         # the rule's guarantees hold for its own Phi only: establish them for this one
         force = Repair(objective)(grasp, wrench, force)
-    made = _force(name, force, grasp)
-    replaced = not isinstance(initial, LinearCombination) and start_replaced(grasp, wrench, made)
-    return StartRequest(GIVEN, name, replaced, made)
+    start = _force(name, force, grasp)
+    replaced = not isinstance(initial, LinearCombination) and start_replaced(grasp, wrench, start)
+    return StartRequest(GIVEN, name, replaced, start)
 
 
 def _force(name: str, force: Any, grasp: Grasp) -> ContactForces:

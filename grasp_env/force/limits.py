@@ -143,7 +143,7 @@ class ForceLimits:
         """
         n_contacts = whole(n_contacts, "n_contacts", 1, ranges.CONTACTS)
 
-        def of_each(name: str) -> Array:
+        def per_contact(name: str) -> Array:
             value = np.asarray(getattr(self, name))
             if value.ndim and len(value) != n_contacts:
                 raise InvalidInputError(
@@ -151,14 +151,14 @@ class ForceLimits:
                 )
             return np.broadcast_to(value, (n_contacts,)).copy()
 
-        least = of_each("min_normal")
-        most = of_each("max_normal")
+        least = per_contact("min_normal")
+        most = per_contact("max_normal")
         nothing = np.zeros(0)
         if self.jacobian is None:
             return LimitArrays(least, most, np.zeros((n_contacts, 6, 0)), nothing, nothing)
-        given = checked_jacobian(self.jacobian, n_contacts)
-        jac = np.zeros((n_contacts, 6, given.shape[2]))
-        jac[:, : given.shape[1]] = given
+        rows = checked_jacobian(self.jacobian, n_contacts)
+        jac = np.zeros((n_contacts, 6, rows.shape[2]))
+        jac[:, : rows.shape[1]] = rows
         return LimitArrays(
             least, most, jac, np.array(self.torque_limit), np.array(self.torque_bias)
         )
@@ -169,9 +169,7 @@ class ForceLimits:
         return 0 if self.jacobian is None else np.asarray(self.jacobian).shape[2]
 
     def labels(self, n_contacts: int) -> tuple[str, ...]:
-        """Return (M,) descriptions of the finite limits of `n_contacts` contacts, in the order of
-        `rows`.
-        """
+        """Return (M,) descriptions of the finite limits of `n_contacts` contacts, as in `rows`."""
         least, most, _, limit, _ = self.checked(n_contacts)
         out = [
             f"contact {k}: normal >= {least[k]:g} N"
@@ -183,8 +181,9 @@ class ForceLimits:
         return tuple(out)
 
     def slack(self, grasp: Grasp, force: ArrayLike, torsion: ArrayLike | None = None) -> LimitSlack:
-        """Return the distances from the limits of `force` (N, 3) [N] and `torsion` (N,) [N m]
-        (None: zero) on the contacts of `grasp`.
+        """Return the distances of `force` (N, 3) [N] on `grasp` from the limits.
+
+        `torsion` is (N,) [N m]; None: zero.
         """
         least, most, jac, limit, bias = self.checked(as_grasp(grasp).n_contacts)
         forces = _with_torsion(grasp, force, torsion)
@@ -215,15 +214,15 @@ class ForceLimits:
         matrix = np.empty((capacity, count, 4))
         bound = np.empty(capacity)
         of_rows = np.empty(capacity)
-        made = core.limit_rows(
+        used = core.limit_rows(
             (least, most, _in_contact_frames(grasp, jac), limit, bias), matrix, bound, of_rows
         )
-        assert made == len(labels)
+        assert used == len(labels)
         transmitted = np.ones((count, 4))
         transmitted[:, :3] = grasp.models.transmitted
         transmitted[:, 3] = grasp.models.torsional_friction > 0.0
-        rows = (matrix[:made] * transmitted).reshape(made, 4 * count)
-        return LimitRows(rows, bound[:made].copy(), labels)
+        rows = (matrix[:used] * transmitted).reshape(used, 4 * count)
+        return LimitRows(rows, bound[:used].copy(), labels)
 
     def violations(
         self,
@@ -232,8 +231,9 @@ class ForceLimits:
         torsion: ArrayLike | None = None,
         tolerance: float = 1e-9,
     ) -> list[str]:
-        """Return one message for each limit that `force` and `torsion` on `grasp`, see `slack`,
-        exceed by more than `tolerance` [N, N m].
+        """Return a message for each limit that the forces exceed by more than `tolerance` [N, N m].
+
+        `grasp`, `force` and `torsion` are those of `slack`.
         """
         matrix, bound, labels = self.rows(grasp)
         tolerance = number(tolerance, "tolerance", ranges.NOT_NEGATIVE)
@@ -250,28 +250,24 @@ def as_limits(value: object) -> ForceLimits | None:
     return instance(value, ForceLimits, "limits", or_none=True)
 
 
-def given_limits(limits: ForceLimits | None, n_contacts: int) -> tuple[Any, ...] | None:
-    """Return the limits of `n_contacts` contacts for the core, in the order of `LimitArrays`, each
-    None if it was not given; None without limits.
-    """
+def core_limits(limits: ForceLimits | None, n_contacts: int) -> tuple[Any, ...] | None:
+    """Return the limits for the core, in the order of `LimitArrays`; None: not given."""
     if limits is None:
         return None
-    arrays: Any = vars(limits)  # arrays after __post_init__
+    arrays: Any = vars(limits)
     least, most, jacobian, torque, bias = map(arrays.__getitem__, LimitArrays._fields)
     if least.ndim == 0:
         least = np.full(n_contacts, least) if least else None
     if most.ndim == 0:
         most = np.full(n_contacts, most) if most < np.inf else None
-    for each in (least, most, jacobian):
-        if each is not None and len(each) != n_contacts:
+    for array in (least, most, jacobian):
+        if array is not None and len(array) != n_contacts:
             limits.checked(n_contacts)  # raises, with the reason
     return least, most, jacobian, torque, bias
 
 
 def _in_contact_frames(grasp: Grasp, jacobian: Array) -> Array:
-    """Return (N, 4, J) from (N, 6, J): velocity along (normal, o, t) and angular velocity about the
-    normal.
-    """
+    """Return (N, 4, J) from (N, 6, J): velocity along (normal, o, t), rate about the normal."""
     turned = np.einsum("nik,nij->nkj", grasp.frames, jacobian[:, :3])
     about = np.einsum("ni,nij->nj", grasp.normals, jacobian[:, 3:])
     return np.concatenate([turned, about[:, None]], axis=1)
@@ -289,9 +285,7 @@ def _with_torsion(grasp: Grasp, force: ArrayLike, torsion: ArrayLike | None) -> 
 
 
 def _bound(value: ArrayLike, name: str, of: str, within: ranges.Range) -> Array:
-    """Return a number or a vector of limits; inf means no limit, except for `min_normal`, the only
-    limit whose range starts at 0.
-    """
+    """Return a number or a vector of limits; inf means no limit, but not for `min_normal`."""
     unlimited = within.low > 0.0
     try:
         array = as_array(value, None, name, finite=False)

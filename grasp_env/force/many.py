@@ -18,8 +18,7 @@ from grasp_env.inputs.arguments import AllFaults, Array, as_array, checked_size,
 
 
 class ForceSolutions(Sequence[ForceSolution]):
-    """Solutions of a batch: arrays over M problems; `solutions[k]` is the k-th as a
-    `ForceSolution`.
+    """Solutions of M problems as arrays; `solutions[k]` is the k-th as a `ForceSolution`.
 
     Attributes:
         records: (M, K) one row of numbers per problem, see `record.py`.
@@ -80,8 +79,9 @@ class ForceSolutions(Sequence[ForceSolution]):
 
     @property
     def codes(self) -> NDArray[np.int_]:
-        """(M,) 0 optimal, 1 iteration limit, 2 stalled, 3 infeasible, 5 limits exceeded, 7
-        undecided: keys of `STATUSES`.
+        """(M,) keys of `STATUSES`.
+
+        0 optimal, 1 iteration limit, 2 stalled, 3 infeasible, 5 limits exceeded, 7 undecided.
         """
         return self.records[:, at.CODE].astype(int)
 
@@ -97,9 +97,7 @@ class ForceSolutions(Sequence[ForceSolution]):
 
     @property
     def objective(self) -> Array:
-        """(M,) Phi, or the sum or maximum of force_weight times normal force [N]; inf without a
-        force.
-        """
+        """(M,) Phi, or weighted sum or maximum of normal forces [N]; inf without a force."""
         return self.records[:, at.OBJECTIVE]
 
     @property
@@ -168,14 +166,12 @@ def solve_many(optimizer: Any, loads: Array, threads: int) -> ForceSolutions:
 
 
 def solve_one(optimizer: Any, load: Array, record: Array) -> None:
-    """Solve one problem into its row; an infeasible or undecided problem becomes a row without a
-    force.
-    """
+    """Solve one problem into its row; if infeasible or undecided, the row has no force."""
     try:
         record[:] = optimizer.solve(load)._record
     except (InfeasibleWrenchError, NotConvergedError) as error:
-        found = getattr(error, "solution", None)
-        if found is None:
+        solution = getattr(error, "solution", None)
+        if solution is None:
             record[:] = 0.0
             record[at.CODE], record[at.OBJECTIVE], record[at.BOUND] = at.UNDECIDED, np.inf, -np.inf
             record[at.CONTACTS], record[at.WRENCH : at.WRENCH + 6] = (
@@ -183,7 +179,7 @@ def solve_one(optimizer: Any, load: Array, record: Array) -> None:
                 load,
             )
         else:
-            record[:] = found._record
+            record[:] = solution._record
 
 
 CHUNK = 4096
@@ -192,8 +188,9 @@ of threads."""
 
 
 def over_parts(work: Callable[[slice], None], count: int, size: int, threads: int) -> None:
-    """Call work(part) for slices of `size` out of `count` on several threads; an error or interrupt
-    stops all after their slice.
+    """Call work(part) for slices of `size` out of `count` on several threads.
+
+    An error or an interrupt stops all of them after their slice.
     """
     if count <= size:
         if count:

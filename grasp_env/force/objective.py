@@ -1,6 +1,4 @@
-"""Phi = tr(W_p P) + tr(W_i P^-1), its derivatives and its dual bound, computed by the core
-(`phi.hpp`).
-"""
+"""Phi = tr(W_p P) + tr(W_i P^-1), its derivatives and its dual bound, from the core."""
 
 from __future__ import annotations
 
@@ -20,11 +18,9 @@ Weight = float | Sequence[float]
 
 @dataclass(frozen=True)
 class Objective:
-    """The paper's objective (Eqs.
+    """The paper's objective, Eqs. 10 and 27-31, with W_p = omega I and W_i = lambda I.
 
-    10, 27-31) with W_p = omega I and W_i = lambda I, or omega_i I, lambda_i I per contact.
-
-    Per contact, in cone coordinates (u, o, t) and with s^2 = o^2 + t^2:
+    The weights may also be omega_i I, lambda_i I per contact. Per contact, in cone coordinates (u, o, t) and with s^2 = o^2 + t^2:
     3 omega u + lambda (1/u + 2u/(u^2 - s^2)). (The second trace is of W_i P^-1; Eqs. 10, 27 and 29
     print W_p.)
 
@@ -66,8 +62,7 @@ class Objective:
         return out
 
     def value(self, x: Array) -> float:
-        """Return Phi at flat cone coordinates `x` (3N,); +inf on the cones, outside them, and for
-        nan.
+        """Return Phi at flat cone coordinates `x` (3N,); +inf for nan and not strictly inside.
 
         Example:
             >>> round(Objective(1.0, 0.01).value(np.array([0.5, 0.0, 0.0])), 12)
@@ -77,26 +72,23 @@ class Objective:
         return core.phi(rows, self.weights(len(rows)))
 
     def gradient(self, x: Array) -> Array:
-        """Return the gradient of Phi, (3N,), at flat cone coordinates `x` strictly inside the
-        cones.
-        """
+        """Return the gradient of Phi (3N,) at cone coordinates `x` strictly inside the cones."""
         rows = _contacts(x, inside=True)
         out = np.empty_like(rows)
         core.phi_gradient(rows, self.weights(len(rows)), out)
         return out.reshape(-1)
 
     def hessian(self, x: Array) -> Array:
-        """Return the diagonal blocks (N, 3, 3) of the Hessian of Phi at flat cone coordinates `x`
-        strictly inside the cones.
-        """
+        """Return the Hessian blocks (N, 3, 3) of Phi at cone coordinates `x` inside the cones."""
         rows = _contacts(x, inside=True)
         out = np.empty((len(rows), 3, 3))
         core.phi_hessian(rows, self.weights(len(rows)), out)
         return out
 
     def lower_bound(self, multipliers: Array, cone_matrix: Array, wrench: Array) -> float:
-        """Return the dual value at multipliers nu (6,): no force that balances `wrench` (6,) has a
-        smaller Phi; -inf if they give no bound.
+        """Return a lower bound of Phi over forces that balance `wrench` (6,), or -inf.
+
+        It is the dual value at the `multipliers` nu (6,).
 
         At the optimum grad Phi = G^T nu, with G in cone coordinates, `cone_matrix` (6, 3N).
         """
@@ -107,21 +99,19 @@ class Objective:
 
 
 def _contacts(x: Array, inside: bool = False, finite: bool = True) -> Array:
-    """Return flat cone coordinates as (N, 3); with `inside`, raise if they are not strictly inside
-    the cones.
-    """
-    given = as_array(x, None, "x", ranges.SIZE if finite else None, finite=finite)
-    if given.size % 3 or not 1 <= given.size // 3 <= ranges.SIDE_BY_SIDE:
+    """Return flat cone coordinates as (N, 3), checked to lie in the cones if `inside`."""
+    numbers = as_array(x, None, "x", ranges.SIZE if finite else None, finite=finite)
+    if numbers.size % 3 or not 1 <= numbers.size // 3 <= ranges.SIDE_BY_SIDE:
         raise InvalidInputError(
-            f"x must have shape (3N,) for at least one contact, got {given.shape}"
+            f"x must have shape (3N,) for at least one contact, got {numbers.shape}"
         )
-    rows = given.reshape(-1, 3)
+    rows = numbers.reshape(-1, 3)
     if inside and not (rows[:, 0] * (1.0 - 1e-15) > np.hypot(rows[:, 1], rows[:, 2])).all():
         raise InvalidInputError(
-            f"x must lie strictly inside the cones, u > |(o, t)| at every contact, got {shown(given)}"
+            f"x must lie strictly inside the cones, u > |(o, t)| at every contact, got {shown(numbers)}"
         )
     if inside and not (rows[:, 0] > 1e-30).all():
-        raise InvalidInputError(f"x must have u > 1e-30 N at every contact, got {shown(given)}")
+        raise InvalidInputError(f"x must have u > 1e-30 N at every contact, got {shown(numbers)}")
     return rows
 
 
@@ -131,9 +121,11 @@ def _weight(value: Weight, name: str, within: ranges.Range) -> Weight:
         isinstance(value, np.ndarray) and value.ndim
     ):
         return positive(value, name, within)
-    each = as_array(value, (None,), name).tolist()
+    weights = as_array(value, (None,), name).tolist()
     with AllFaults() as check:
-        return tuple(check(positive, value, f"{name}[{k}]", within) for k, value in enumerate(each))
+        return tuple(
+            check(positive, value, f"{name}[{k}]", within) for k, value in enumerate(weights)
+        )
 
 
 def as_objective(value: object) -> Objective:

@@ -36,7 +36,7 @@ from grasp_env.force.initial import (
     rule_name,
     rule_start,
 )
-from grasp_env.force.limits import ForceLimits, as_limits, given_limits
+from grasp_env.force.limits import ForceLimits, as_limits, core_limits
 from grasp_env.force.many import ForceSolutions, checked_batch, solve_many
 from grasp_env.force.objective import Objective, Weight
 from grasp_env.force.options import MAX_ITERATIONS, checked_options
@@ -184,9 +184,8 @@ class ForceOptimizer:
         elif isinstance(initial, str):
             start = STARTS.index(initial)
             remembers = initial == "previous"
-        elif initial is not None and isinstance(
-            initial, CompiledRule
-        ):  # a protocol is slow to compare with
+        # a protocol is slow to compare with
+        elif initial is not None and isinstance(initial, CompiledRule):
             start = LEARNED
             remembers = bool(initial.remembers)
             try:
@@ -214,7 +213,7 @@ class ForceOptimizer:
             (weights.force_weight, weights.barrier_weight)
             if plain
             else weights.weights(grasp.n_contacts),
-            given_limits(self.limits, grasp.n_contacts),
+            core_limits(self.limits, grasp.n_contacts),
         )
         settings = core.Options(
             method=options.method,
@@ -285,11 +284,11 @@ class ForceOptimizer:
 
     @previous.setter
     def previous(self, solution: ForceSolution | None) -> None:
-        given = instance(solution, ForceSolution, "previous", or_none=True)
-        if given is None:
+        instance(solution, ForceSolution, "previous", or_none=True)
+        if solution is None:
             self.forget()
         else:
-            self.core.remember(self._checked_previous(given))
+            self.core.remember(self._checked_previous(solution))
 
     def forget(self) -> None:
         """Drop the previous solution."""
@@ -347,31 +346,33 @@ class ForceOptimizer:
                 rule fails.
             NotConvergedError: neither a force nor a proof was found.
         """
-        now = (positions, normals, friction, jacobian, torque_bias, contacts)
+        arrays = (positions, normals, friction, jacobian, torque_bias, contacts)
         if initial is None and optimum is None and trace is False and self.core_finds_start:
-            solution = self._solve(wrench, now, None)
+            solution = self._solve(wrench, arrays, None)
             if solution is NotImplemented:  # an argument is not an array that can be read in place
-                solution = self._solve(*self._checked(wrench, now), None)
+                solution = self._solve(*self._checked(wrench, arrays), None)
             start = OWN_START
         else:
-            solution, start = self._solve_from(*self._checked(wrench, now), initial, optimum, trace)
+            solution, start = self._solve_from(
+                *self._checked(wrench, arrays), initial, optimum, trace
+            )
         if solution.has_force:
             return solution
-        raise self._error(solution, wrench, now, start)
+        raise self._error(solution, wrench, arrays, start)
 
-    def _checked(self, wrench: ArrayLike, given: tuple[Any, ...]) -> tuple[Wrench, Call]:
+    def _checked(self, wrench: ArrayLike, arrays: tuple[Any, ...]) -> tuple[Wrench, Call]:
         """Return the arguments of a call as checked arrays."""
         with AllFaults() as check:
             load = check(as_wrench, wrench)
-            now = check(self._arrays, *given)
-        if self.limits is None and (now.jacobian is not None or now.torque_bias is not None):
+            call = check(self._arrays, *arrays)
+        if self.limits is None and (call.jacobian is not None or call.torque_bias is not None):
             raise InvalidInputError(
                 "jacobian and torque_bias need torque limits: make the optimizer with limits"
             )
-        return load, now
+        return load, call
 
     def _solve_from(
-        self, load: Wrench, now: Call, initial: Initial | None, optimum: float | None, trace: bool
+        self, load: Wrench, call: Call, initial: Initial | None, optimum: float | None, trace: bool
     ) -> tuple[ForceSolution, StartRequest]:
         """Solve from a start of this call, or study its descent; return the start, too."""
         with AllFaults() as check:
@@ -381,9 +382,9 @@ class ForceOptimizer:
             raise InvalidInputError(
                 "method 'conic' takes no start, optimum or trace: they belong to descents on Phi"
             )
-        start = self._start(load, now, initial)
+        start = self._start(load, call, initial)
         values = np.full(self.max_iterations + 1, np.nan) if trace else None
-        solution = self._solve(load, now, start.request(known, values))
+        solution = self._solve(load, call, start.request(known, values))
         solution._names = self.names.of_start(start.start, start.name)
         if solution.has_force:
             start.mark(solution._record)
@@ -402,39 +403,41 @@ class ForceOptimizer:
         contacts: ArrayLike | None = None,
         initial: Initial | None = None,
     ) -> ContactForces:
-        """Return the initial force (N, 3) [N] of `solve`, which documents wrench, positions,
-        normals, friction, contacts and initial.
+        """Return the initial force (N, 3) [N] of `solve`.
+
+        `solve` documents wrench, positions, normals, friction, contacts and initial.
 
         Raises:
             UnsupportedProblemError: the method takes no initial force.
             InvalidInputError, RankDeficientGraspError, InfeasibleWrenchError,
                 InfeasibleStartError: see `solve`.
         """
-        now = {
+        arrays = {
             "positions": positions,
             "normals": normals,
             "friction": friction,
             "contacts": contacts,
         }
-        return self._start_and_replaced(wrench, initial=initial, **now)[0]
+        return self._start_and_replaced(wrench, initial=initial, **arrays)[0]
 
     def _start_and_replaced(
-        self, wrench: ArrayLike, *, initial: Initial | None = None, **given: ArrayLike | None
+        self, wrench: ArrayLike, *, initial: Initial | None = None, **arrays: ArrayLike | None
     ) -> tuple[ContactForces, bool]:
         """Return `start`, and True if another start replaced the requested one."""
         if self.method == "conic":
             raise UnsupportedProblemError("method 'conic' takes no initial force")
         load = as_wrench(wrench)
-        now = self._arrays(**given)
-        start = self._start(load, now, initial)
-        made = self.core.start(load, now, start.request())
-        if made.code != STARTED:
-            raise self._error(made, load, now, start)
-        return made.initial_force.copy(), start.replaced or made.start_replaced
+        call = self._arrays(**arrays)
+        start = self._start(load, call, initial)
+        solution = self.core.start(load, call, start.request())
+        if solution.code != STARTED:
+            raise self._error(solution, load, call, start)
+        return solution.initial_force.copy(), start.replaced or solution.start_replaced
 
     def solve_many(self, wrenches: ArrayLike, *, workers: int | None = None) -> ForceSolutions:
-        """Optimise the forces for many wrenches (M, 6) [N, N m], independently of each other, on
-        `workers` threads; see `optimize_forces`.
+        """Optimise the forces for many wrenches (M, 6) [N, N m] on `workers` threads.
+
+        The problems are independent; see `optimize_forces`.
         """
         return solve_many(self, *checked_batch(wrenches, workers))
 
@@ -447,46 +450,45 @@ class ForceOptimizer:
         jacobian: ArrayLike | None = None,
         torque_bias: ArrayLike | None = None,
     ) -> None:
-        """Replace positions, normals, friction, jacobian or torque_bias of the constructor, see
-        `solve`; those left out stay.
+        """Replace arguments of the constructor; those left out stay.
 
-        The 12-basis is computed again if the start needs it.
+        `solve` documents positions, normals, friction, jacobian and torque_bias. The 12-basis is computed again if the start needs it.
 
         Raises:
             InvalidInputError, RankDeficientGraspError: see `solve`; the optimizer is unchanged.
         """
-        now = self._arrays(positions, normals, friction, jacobian, torque_bias)
-        moved = (
-            touching_grasp(self.grasp, now)
-            if any(each is not None for each in now[:3])
+        call = self._arrays(positions, normals, friction, jacobian, torque_bias)
+        grasp = (
+            touching_grasp(self.grasp, call)
+            if any(array is not None for array in call[:3])
             else self.grasp
         )
-        if self.options.flows and moved.rank < 6:
-            raise self._rank_error(moved)
-        if not self.core.update(now):
+        if self.options.flows and grasp.rank < 6:
+            raise self._rank_error(grasp)
+        if not self.core.update(call):
             raise InvalidInputError(
                 "the contacts or limits are invalid: give finite numbers and inward unit normals"
             )
-        self._grasp = moved
-        self.limits = self._limits_of(now)
+        self._grasp = grasp
+        self.limits = self._limits_of(call)
 
-    def _arrays(self, *given: Any, **named: Any) -> Call:
+    def _arrays(self, *args: Any, **kwargs: Any) -> Call:
         """Return the checked arrays of a call on these contacts and limits."""
-        moved: Any = None if self.limits is None else self.limits.jacobian
+        jacobian: Any = None if self.limits is None else self.limits.jacobian
         return checked_call(
-            self.grasp, (0, 0) if moved is None else moved.shape[1:], *given, **named
+            self.grasp, (0, 0) if jacobian is None else jacobian.shape[1:], *args, **kwargs
         )
 
-    def _limits_of(self, now: Call) -> ForceLimits | None:
+    def _limits_of(self, call: Call) -> ForceLimits | None:
         """Return the limits with the Jacobian and the torque bias of a call."""
-        given = {name: getattr(now, name) for name in ("jacobian", "torque_bias")}
-        given = {name: value.copy() for name, value in given.items() if value is not None}
-        return replace(self.limits, **given) if self.limits is not None and given else self.limits
+        changes = {name: getattr(call, name) for name in ("jacobian", "torque_bias")}
+        changes = {name: value.copy() for name, value in changes.items() if value is not None}
+        return (
+            replace(self.limits, **changes) if self.limits is not None and changes else self.limits
+        )
 
-    def _start(self, wrench: Wrench, now: Call, initial: Initial | None) -> StartRequest:
-        """Return the start of a call; an `InfeasibleStartError` if a rule fails, or returns no
-        force.
-        """
+    def _start(self, wrench: Wrench, call: Call, initial: Initial | None) -> StartRequest:
+        """Return the start of a call; an `InfeasibleStartError` if a rule fails."""
         requested: Any = self._initial if initial is None else checked_initial(initial)
         if requested is None or self.method == "conic":
             return OWN_START
@@ -498,12 +500,14 @@ class ForceOptimizer:
             return StartRequest(STARTS.index(requested))
         if initial is None and isinstance(requested, CompiledRule):
             return OWN_START
-        moved = self.grasp if all(each is None for each in now) else touching_grasp(self.grasp, now)
-        start = rule_start(requested, moved, wrench, self.options.objective)
-        if now.contacts is None or now.contacts.all():
+        grasp = (
+            self.grasp if all(array is None for array in call) else touching_grasp(self.grasp, call)
+        )
+        start = rule_start(requested, grasp, wrench, self.options.objective)
+        if call.contacts is None or call.contacts.all():
             return start
         force = np.zeros((self._count, 3))
-        force[now.contacts] = start.force
+        force[call.contacts] = start.force
         return StartRequest(start.start, start.name, start.replaced, force)
 
     def _checked_previous(self, previous: ForceSolution) -> ForceSolution:
@@ -518,50 +522,50 @@ class ForceOptimizer:
             )
         return previous
 
-    def _proof(self, solution: ForceSolution, given: tuple[Any, ...]) -> str:
+    def _proof(self, solution: ForceSolution, arrays: tuple[Any, ...]) -> str:
         """Explain why there is no force."""
-        limits, moved = self.limits, self.grasp
-        if any(each is not None for each in given):
+        limits, grasp = self.limits, self.grasp
+        if any(array is not None for array in arrays):
             try:
-                now = self._arrays(*given)
-                moved = touching_grasp(self.grasp, now)
+                call = self._arrays(*arrays)
+                grasp = touching_grasp(self.grasp, call)
             except GraspError:  # the caller has overwritten its arrays since
                 return explain(solution, None, limits)
-            limits = self._limits_of(now)
-        return explain(solution, moved, limits)
+            limits = self._limits_of(call)
+        return explain(solution, grasp, limits)
 
     def _error(
         self,
         solution: ForceSolution,
         wrench: ArrayLike,
-        given: tuple[Any, ...],
+        arrays: tuple[Any, ...],
         start: StartRequest,
     ) -> GraspError:
         """Return the error for a solution without a force."""
         code = solution.code
         if code == INFEASIBLE:
-            return InfeasibleWrenchError("", solution, lambda: self._proof(solution, given))
-        load, now = self._checked(wrench, given)  # raises if one of them is the reason
+            return InfeasibleWrenchError("", solution, lambda: self._proof(solution, arrays))
+        load, call = self._checked(wrench, arrays)  # raises if one of them is the reason
         if code == UNDECIDED:
             return NotConvergedError(
                 f"neither a force nor a proof that none exists was found for wrench {load.tolist()}: forces, limits and weights are too "
                 "many decades apart, or the contacts are within rounding of losing force closure"
             )
         try:
-            moved = touching_grasp(self.grasp, now)
+            grasp = touching_grasp(self.grasp, call)
         except GraspError as error:
             return error
         if code == REFUSED and start.force is not None:
-            return refused_start(moved, load, start, now.contacts)
+            return refused_start(grasp, load, start, call.contacts)
         if code == REFUSED:
             return InvalidInputError(
-                f"the call has numbers that the solver cannot use, for wrench {load.tolist()} and {moved}"
+                f"the call has numbers that the solver cannot use, for wrench {load.tolist()} and {grasp}"
             )
-        return self._rank_error(moved)
+        return self._rank_error(grasp)
 
-    def _rank_error(self, moved: Grasp) -> GraspError:
+    def _rank_error(self, grasp: Grasp) -> GraspError:
         flows = f"; method {self.method!r} needs that, 'newton' and 'conic' solve the wrenches that are within reach"
-        return rank_error(moved.rank, moved.n_contacts, flows if self.options.flows else "")
+        return rank_error(grasp.rank, grasp.n_contacts, flows if self.options.flows else "")
 
     def __getstate__(self) -> dict[str, Any]:
         kept = {name: value for name, value in vars(self).items() if name not in ("core", "_solve")}

@@ -31,9 +31,7 @@ CONIC_TOLERANCE = 1e-6
 
 @dataclass(frozen=True)
 class Options:
-    """Checked settings of a `ForceOptimizer`, made by `checked_options`; see `ForceOptimizer` for
-    their meaning.
-    """
+    """Checked settings of a `ForceOptimizer`, which documents them."""
 
     method: str
     criterion: str
@@ -49,16 +47,16 @@ class Options:
         return self.method in FLOWS
 
 
-def checked_options(*given: Any) -> Options:
-    """Return the checked keywords of an optimizer, in the order of its signature; cached, since the
-    checks take longer than a solve.
+def checked_options(*settings: Any) -> Options:
+    """Return the checked keywords of an optimizer, in the order of its signature.
+
+    They are cached, since the checks take longer than a solve.
     """
     try:
-        return _cached(*given)
-    except (
-        Exception
-    ):  # arguments without a hash, such as a list or a memoryview; wrong ones raise again
-        return _checked(*given)
+        return _cached(*settings)
+    except Exception:
+        # arguments without a hash, such as a list or a memoryview; wrong ones raise again
+        return _checked(*settings)
 
 
 def _checked(
@@ -72,7 +70,7 @@ def _checked(
     elastic: bool,
 ) -> Options:
     with AllFaults() as check:
-        made = Options(
+        options = Options(
             check(choice, method, "method", METHODS),
             check(choice, criterion, "criterion", CRITERIA),
             check(
@@ -85,25 +83,25 @@ def _checked(
             check(checked_rule, step_rule),
             check(flag, elastic, "elastic"),
         )
-    if made.criterion != "sum" and made.method != "conic":
+    if options.criterion != "sum" and options.method != "conic":
         raise UnsupportedProblemError(
-            f"criterion {criterion!r} belongs to method 'conic', got method {made.method!r}"
+            f"criterion {criterion!r} belongs to method 'conic', got method {options.method!r}"
         )
-    if step_rule is not None and not made.flows:
+    if step_rule is not None and not options.flows:
         raise UnsupportedProblemError(
-            f"step_rule belongs to the flows, got method {made.method!r}: take method='reduced_flow' or 'full_flow', or leave it out"
+            f"step_rule belongs to the flows, got method {options.method!r}: take method='reduced_flow' or 'full_flow', or leave it out"
         )
-    if barrier_weight is not None and made.method == "conic":
+    if barrier_weight is not None and options.method == "conic":
         raise UnsupportedProblemError(
             f"method 'conic' has no barrier, got barrier_weight={shown(barrier_weight)}: take method='newton', or leave it out"
         )
-    return made
+    return options
 
 
 _cached = lru_cache(256, typed=True)(_checked)
 
 
-def _tolerance(given: float | None, method: object) -> float:
-    if given is None:
+def _tolerance(value: float | None, method: object) -> float:
+    if value is None:
         return CONIC_TOLERANCE if method == "conic" else TOLERANCE
-    return positive(given, "tolerance", ranges.TOLERANCE)
+    return positive(value, "tolerance", ranges.TOLERANCE)

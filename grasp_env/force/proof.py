@@ -9,8 +9,8 @@ from grasp_env.force.solution import ForceSolution
 from grasp_env.grasp.grasp import Grasp
 from grasp_env.inputs.arguments import Array
 
-NEGLIGIBLE_PRICE = 1e-6
-"""Fraction of the largest price up to which a limit does not count as needed."""
+NEGLIGIBLE_MULTIPLIER = 1e-6
+"""Fraction of the largest multiplier up to which a limit does not count as needed."""
 SLIPPING = 1e-3
 """Relative distance of q_i to the surface of its dual cone up to which contact i counts as
 slipping."""
@@ -23,9 +23,7 @@ MOST_NAMED = 6
 
 
 def contact_motions(grasp: Grasp, twist: Array) -> Array:
-    """Return q = G^T v, (N, 4): the velocity of each contact along normal, o and t, and its rate of
-    turning about the normal.
-    """
+    """Return q = G^T v, (N, 4): contact velocity along normal, o, t, and rate about the normal."""
     return np.concatenate(
         [(twist @ grasp.matrix).reshape(-1, 3), (twist @ grasp.torsion_matrix)[:, None]], axis=1
     )
@@ -68,7 +66,7 @@ def explain(solution: ForceSolution, grasp: Grasp | None, limits: ForceLimits | 
         cones = f" and the friction cone{'s' * (len(slipping) > 1)}{where}" if where else ""
         return (
             f"no force strictly inside the friction cones and limits balances {wrench}; the proof needs the limits {'; '.join(needed)}{cones} "
-            f"({shown} and their prices: error.solution.certificate, .limit_multipliers): widen them (elastic=True returns the force "
+            f"({shown} and their multipliers: error.solution.certificate, .limit_multipliers): widen them (elastic=True returns the force "
             "that exceeds them least), raise the friction, add contacts, or change the wrench"
         )
     return (
@@ -78,9 +76,7 @@ def explain(solution: ForceSolution, grasp: Grasp | None, limits: ForceLimits | 
 
 
 def transmitted_matrix(grasp: Grasp) -> Array:
-    """Return G (6, 4N) of the forces and torsions that the contacts transmit; the other columns are
-    zero.
-    """
+    """Return G (6, 4N) of transmitted forces and torsions; the other columns are zero."""
     return np.concatenate(
         [grasp.matrix * grasp.models.transmitted.reshape(-1), grasp.torsion_matrix], axis=1
     )
@@ -93,15 +89,15 @@ def _moves_contacts(grasp: Grasp, twist: Array) -> bool:
 
 
 def _needed(solution: ForceSolution, limits: ForceLimits | None) -> list[str]:
-    """Return the labels of the limits that a proof needs, the largest price first."""
-    prices = solution.limit_multipliers
-    if limits is None or not len(prices) or not prices.max() > 0.0:
+    """Return the labels of the limits that a proof needs, the largest multiplier first."""
+    multipliers = solution.limit_multipliers
+    if limits is None or not len(multipliers) or not multipliers.max() > 0.0:
         return []
     labels = limits.labels(solution.n_contacts)
     order = [
         k
-        for k in np.argsort(-prices, kind="stable").tolist()
-        if prices[k] > NEGLIGIBLE_PRICE * prices.max()
+        for k in np.argsort(-multipliers, kind="stable").tolist()
+        if multipliers[k] > NEGLIGIBLE_MULTIPLIER * multipliers.max()
     ]
     return [labels[k] for k in order[:MOST_NAMED]] + [f"and {len(order) - MOST_NAMED} more"] * (
         len(order) > MOST_NAMED
@@ -109,9 +105,7 @@ def _needed(solution: ForceSolution, limits: ForceLimits | None) -> list[str]:
 
 
 def _slipping(solution: ForceSolution, grasp: Grasp, limits: ForceLimits | None) -> list[int]:
-    """Return the contacts that the proof needs to slip; empty if it does not hold for these
-    contacts.
-    """
+    """Return the contacts that the proof needs to slip; none if it does not hold for the grasp."""
     twist = solution.certificate
     if twist is None or grasp.n_contacts != solution.n_contacts:
         return []
@@ -120,10 +114,10 @@ def _slipping(solution: ForceSolution, grasp: Grasp, limits: ForceLimits | None)
     right = 0.0
     if limits is not None:
         rows = limits.rows(grasp)
-        prices = solution.limit_multipliers
-        q += (prices @ rows.matrix).reshape(-1, 4)
-        right = float(prices @ rows.bound)
-        size = max(size, float((prices[:, None] * np.abs(rows.matrix)).max(initial=0.0)))
+        multipliers = solution.limit_multipliers
+        q += (multipliers @ rows.matrix).reshape(-1, 4)
+        right = float(multipliers @ rows.bound)
+        size = max(size, float((multipliers[:, None] * np.abs(rows.matrix)).max(initial=0.0)))
     least = least_normal_motions(grasp, q)
     scale = abs(right) + float(np.abs(twist * solution.wrench).sum())
     if not (

@@ -1,5 +1,4 @@
-"""Layout of the row of numbers that a solver writes and `ForceSolution` reads; a batch is a table
-of such rows.
+"""Layout of the row that a solver writes and `ForceSolution` reads; a batch is a table of rows.
 
 The core's `Record` (`core/include/grasp/record.hpp`) defines the layout; the offsets are read from
 the compiled module.
@@ -35,8 +34,8 @@ MULTIPLIERS = _PLACES["multipliers"]
 """Offset of nu, 6 numbers: grad objective = G^T nu (+ the cone multipliers), d objective / d w =
 -nu; the twist if infeasible."""
 FORCE = _PLACES["force"]
-"""Offset of the force, 3N numbers; 3N initial force, N torsion, 9N frames, joint torques and prices
-of limits follow."""
+"""Offset of the force, 3N numbers; 3N initial force, N torsion, 9N frames, joint torques and
+multipliers of limits follow."""
 CONVERGED, LIMIT, STALLED, INFEASIBLE, REFUSED, LIMITS_EXCEEDED, RANK_LOST, UNDECIDED, STARTED = (
     _CODES[name]
     for name in (

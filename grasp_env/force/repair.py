@@ -1,6 +1,4 @@
-"""Repair of a candidate force: balanced, strictly inside the cones, and never worse in Phi than a
-safe force, by construction.
-"""
+"""Repair of a candidate force: balanced, inside the cones, and no worse than a safe force."""
 
 from __future__ import annotations
 
@@ -60,12 +58,11 @@ class Repair:
             InvalidInputError: the candidate has another shape, or the wrench is not finite.
         """
         force = as_array(candidate, (as_grasp(grasp).n_contacts, 3), "candidate", finite=False)
-        return _started(grasp, self.objective, GUESS, as_wrench(wrench), force)
+        return _repaired(grasp, self.objective, GUESS, as_wrench(wrench), force)
 
 
 def start_replaced(grasp: Grasp, wrench: Wrench, force: ContactForces) -> bool:
-    """True if a start equals the paper's combination, so that nothing is left of the candidate
-    given to `Repair`.
+    """True if a start equals the paper's combination, so `Repair` has discarded the candidate.
 
     For zero wrench the result is False: there the combination is the optimum itself, which any good
     start may reach. The start is compared with the combination of every 12-basis cached for this
@@ -128,7 +125,7 @@ def carry_over(
     choice(correction, "correction", CORRECTIONS)
     wrench = as_wrench(wrench)
     before = as_array(previous, (as_grasp(grasp).n_contacts, 3), "previous", ranges.SIZE)
-    return _started(
+    return _repaired(
         grasp,
         as_objective(objective),
         PREVIOUS if correction == "tangent" else GUESS,
@@ -137,21 +134,19 @@ def carry_over(
     )
 
 
-def _started(
+def _repaired(
     grasp: Grasp, objective: Objective, start: int, wrench: Wrench, force: ContactForces
 ) -> ContactForces:
-    """Return a start of the core from a force (N, 3) [N] that need not be balanced or inside the
-    cones.
-    """
+    """Return a start of the core from a force (N, 3) [N], which need not be balanced or inside."""
     known = _STARTERS.setdefault(grasp, {})
     if objective not in known:
         known[objective] = starter(grasp, objective)
-    made = start_of(known[objective], start, wrench, force)
-    if made is None:
+    repaired = start_of(known[objective], start, wrench, force)
+    if repaired is None:
         raise InfeasibleStartError(
             f"no force strictly inside the cones was found from this force for wrench {wrench.tolist()}"
         )
-    return made
+    return repaired
 
 
 _STARTERS: WeakKeyDictionary[Grasp, dict[Objective, core.ForceOptimizer]] = WeakKeyDictionary()

@@ -89,8 +89,7 @@ RULES: dict[str, RuleEntry] = {
 }
 """Start rules by name.
 
-"previous" is not among them: `ForceOptimizer` stores the previous solution.
-"""
+"previous" is not among them: `ForceOptimizer` stores the previous solution."""
 
 
 def initial_rule(name: str, objective: Objective | None = None) -> InitialForceRule:

@@ -1,6 +1,4 @@
-"""The result of a force optimisation: the force, its status, and the residuals and bounds that
-certify it.
-"""
+"""The result of a force optimisation: the force, its status, and its certificates."""
 
 from __future__ import annotations
 
@@ -97,26 +95,21 @@ class Names(NamedTuple):
     starts: tuple[str, ...] = STARTS
 
     def initial(self, record: Array) -> str:
-        """Return `ForceSolution.initial`, which reports a replaced start and a wrench outside the
-        training range of a learned one.
-        """
+        """Return `ForceSolution.initial`, which reports a replaced start and an untrained range."""
         used = self.starts[int(record[START])]
         if record[REPLACED]:
             return f"{used} ({self.requested} was replaced)"
         return f"{used} (outside its training range)" if record[OUTSIDE] else used
 
     def of_start(self, start: int, name: str | None) -> Names:
-        """Return the names for a call with another start: an index into `STARTS`, and the name of
-        that start for this call.
-        """
+        """Return the names for a call with another start: an index into `STARTS`, and its name."""
         if name is None:
             return self._replace(requested=STARTS[start]) if start else self
         return self._replace(requested=name, starts=(*STARTS[:start], name, *STARTS[start + 1 :]))
 
 
 class ForceSolution(Solution):
-    """A grasp force with its certificates: a view of one record of numbers (`record.py`), read on
-    demand.
+    """A grasp force with its certificates: a view of one record (`record.py`), read on demand.
 
     Attributes:
         n_contacts: N, the number of contacts.
@@ -131,7 +124,7 @@ class ForceSolution(Solution):
         wrench: (6,) the external wrench that `force` balances [N, N m].
         multipliers: (6,) nu of balance: grad objective = G^T nu (+ multipliers of the limits), d
             objective / d wrench = -nu.
-        limit_multipliers: (M,) prices >= 0 of the limits, in the order of
+        limit_multipliers: (M,) multipliers >= 0 of the limits, in the order of
             `ForceOptimizer.limit_labels`; with status INFEASIBLE those of the proof, see
             `certificate`; empty for LIMITS_EXCEEDED.
         has_force: False if the solve found no force; then `force` is zero.
@@ -176,7 +169,7 @@ class ForceSolution(Solution):
         """(6,) the proof of infeasibility with status INFEASIBLE, else None.
 
         It is a twist v with G_i^T v in the dual cone of every contact and v . w > 0. With limits A
-        f <= b and their prices y, `limit_multipliers`, G^T v + A^T y lies in the dual cones and v .
+        f <= b and multipliers y, `limit_multipliers`, G^T v + A^T y lies in the dual cones and v .
         w > y . b. For a zero wrench v . w = 0: no force strictly inside the cones balances itself,
         and the force zero has no finite Phi.
         """
@@ -210,9 +203,7 @@ class ForceSolution(Solution):
         return self
 
     def _infeasibility(self) -> str:
-        """Describe what the solution shows of an infeasible wrench; it knows neither the grasp nor
-        the labels of the limits.
-        """
+        """Describe an infeasible wrench, without the grasp or the labels of the limits."""
         twist = self.certificate
         if twist is None:
             shown = f"The largest excess is {100.0 * self.limit_excess:.3g} % of its limit. The error of optimize_force with elastic=False"

@@ -1,5 +1,4 @@
-"""Step rules of the flows: they choose alpha so that Phi decreases and every force stays inside its
-friction cone.
+"""Step rules of the flows: Phi decreases, and every force stays inside its friction cone.
 
 The paper only asks that alpha_k "guarantee the convergence of the objective function". Every rule
 here accepts only points strictly inside the cones with a smaller Phi, and shrinks the step until it
@@ -47,15 +46,15 @@ class _Checked:
     """Base class of the rules: each number lies in its range of `_RANGES`."""
 
     def __post_init__(self) -> None:
-        given = {item.name: getattr(self, item.name) for item in fields(self)}
         with AllFaults() as check:
-            for name, value in given.items():
-                kept = (
+            for name in (item.name for item in fields(self)):
+                value = getattr(self, name)
+                checked = (
                     check(choice, value, name, VARIANTS)
                     if name == "variant"
                     else check(positive, value, name, _RANGES[name])
                 )
-                object.__setattr__(self, name, kept)
+                object.__setattr__(self, name, checked)
 
 
 @dataclass(frozen=True)
@@ -104,9 +103,9 @@ class ArmijoStep(_Checked):
 
 @dataclass(frozen=True)
 class AdaptiveStep(_Checked):
-    """Accept the first of alpha, alpha * shrink, ...
+    """Accept the first of alpha, alpha * shrink, ... that decreases Phi inside the cones.
 
-    that decreases Phi inside the cones; then multiply alpha by `grow`.
+    Then multiply alpha by `grow`.
 
     Attributes:
         first: first trial step of every solve [N / force_weight].
@@ -133,8 +132,7 @@ class AdaptiveStep(_Checked):
 
 @dataclass(frozen=True)
 class BarzilaiBorweinStep(_Checked):
-    """Barzilai and Borwein (1988) in the metric of P: the inverse curvature along the previous
-    step, kept monotone.
+    """Barzilai and Borwein (1988) in the metric of P: inverse curvature, kept monotone.
 
     With s the previous step and y the change of the projected gradient, "long" is <s, s> / <s, y>
     and "short" <s, y> / <y, y>. "alternate" uses the long one after every second step. The first

@@ -45,9 +45,9 @@ def joint_torques(
         >>> joint_torques([[[0.0, 0.1], [0.0, 0.0], [0.0, 0.0]]], [[2.0, 0.0, 0.0]], bias=[0.5, 0.0])
         array([0.5, 0.2])
     """
-    pushed = as_array(force, (None, 3), "force", ranges.SIZE)
-    jac = checked_jacobian(jacobian, len(pushed))
-    torques = np.einsum("nij,ni->j", jac[:, :3], pushed)
+    forces = as_array(force, (None, 3), "force", ranges.SIZE)
+    jac = checked_jacobian(jacobian, len(forces))
+    torques = np.einsum("nij,ni->j", jac[:, :3], forces)
     if moment is not None:
         if jac.shape[1] == 3:
             raise InvalidInputError(
@@ -55,7 +55,7 @@ def joint_torques(
                 "or leave moment out"
             )
         torques += np.einsum(
-            "nij,ni->j", jac[:, 3:], as_array(moment, pushed.shape, "moment", ranges.SIZE)
+            "nij,ni->j", jac[:, 3:], as_array(moment, forces.shape, "moment", ranges.SIZE)
         )
     return torques if bias is None else torques + as_array(bias, torques.shape, "bias", ranges.BIAS)
 
@@ -63,10 +63,9 @@ def joint_torques(
 def checked_jacobian(
     jacobian: ArrayLike, count: int | None = None, used: np.ndarray | None = None
 ) -> Array:
-    """Return a Jacobian as (N, 3, J) or (N, 6, J), from that shape or from (3N, J), of `count`
-    contacts (None: any).
+    """Return a Jacobian as (N, 3, J) or (N, 6, J), also from (3N, J).
 
-    Rows of contacts that a mask `used` (N,) leaves out may hold any numbers.
+    It must have `count` contacts (None: any). Rows of contacts that a mask `used` (N,) leaves out may hold any numbers.
     """
     jac = as_array(jacobian, None, "jacobian", finite=False)
     shape = jac.shape
@@ -86,6 +85,6 @@ def checked_jacobian(
     as_array(jac, None, "jacobian", ranges.LEVER, copy=False, used=used)
     if len(jac) > ranges.CONTACTS or jac.shape[2] > ranges.JOINTS:
         raise InvalidInputError(
-            f"jacobian must be that of at most {ranges.CONTACTS} contacts and {ranges.JOINTS} joints, got shape {shape}"
+            f"jacobian must have at most {ranges.CONTACTS} contacts and {ranges.JOINTS} joints, got shape {shape}"
         )
     return jac

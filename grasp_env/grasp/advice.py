@@ -31,7 +31,7 @@ def advise(grasp: Grasp, wrench: ArrayLike | None = None, limits: Any = None) ->
     friction, Jacobian), friction above 2 or in degrees, contacts that nearly coincide, and a nearly
     singular G. With a wrench, they also report a moment about another point than the origin of the
     positions, and force and moment in the wrong order. With limits as well, they report torque
-    limits hundreds of times too large or too small. Each text tells what was seen, when it may be
+    limits hundreds of times too large or too small. Each text states what was seen, when it may be
     right, and what to change. `optimize_force` warns of the mistakes that are near certain.
 
     Args:
@@ -58,35 +58,31 @@ def advise(grasp: Grasp, wrench: ArrayLike | None = None, limits: Any = None) ->
     as_grasp(grasp)
     load = None if wrench is None else as_wrench(wrench)
     jacobian, torque_limit = _torque_limits(grasp, limits)
-    found = all_outward(grasp) + some_outward(grasp) + contact_units(grasp)
+    mistakes = all_outward(grasp) + some_outward(grasp) + contact_units(grasp)
     if jacobian is not None:
-        found += lever_units(jacobian)
+        mistakes += lever_units(jacobian)
     if load is not None:
-        found += frame_and_order(grasp, load)
+        mistakes += frame_and_order(grasp, load)
     if load is not None and jacobian is not None and torque_limit is not None:
-        found += torque_units(grasp, load, jacobian, torque_limit)
-    return [text for _, text in found + coincident(grasp) + condition(grasp)]
+        mistakes += torque_units(grasp, load, jacobian, torque_limit)
+    return [text for _, text in mistakes + coincident(grasp) + condition(grasp)]
 
 
 def warn_of_contacts(grasp: Grasp, limits: Any = None) -> None:
-    """Issue a `GraspWarning` about near-certain mistakes in contacts and limits, at the caller's
-    line.
-    """
-    found = all_outward(grasp) + contact_units(grasp)
+    """Warn about near-certain mistakes in contacts and limits, at the caller's line."""
+    mistakes = all_outward(grasp) + contact_units(grasp)
     if limits is not None and limits.jacobian is not None:
-        found += lever_units(limits.jacobian)
-    _warn(found)
+        mistakes += lever_units(limits.jacobian)
+    _warn(mistakes)
 
 
 def warn_of_wrench(grasp: Grasp, wrench: Wrench) -> None:
-    """Issue a `GraspWarning` about near-certain mistakes in a wrench (6,) float64, at the caller's
-    line.
-    """
+    """Warn about near-certain mistakes in a wrench (6,) float64, at the caller's line."""
     _warn(frame_and_order(grasp, wrench))
 
 
-def _warn(found: list[Mistake]) -> None:
-    texts = [text for near_certain, text in found if near_certain]
+def _warn(mistakes: list[Mistake]) -> None:
+    texts = [text for near_certain, text in mistakes if near_certain]
     if texts:
         warn("; ".join(texts))
 

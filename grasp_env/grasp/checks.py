@@ -24,30 +24,29 @@ def checked_points(positions: ArrayLike) -> Array:
     points = as_array(positions, (None, 3), "positions")
     if len(points) > ranges.CONTACTS:
         raise InvalidInputError(
-            f"positions must be those of at most {ranges.CONTACTS} contacts, got {len(points)}"
+            f"positions must have at most {ranges.CONTACTS} contacts, got {len(points)}"
         )
     return points
 
 
 def normalise_normals(normals: Array) -> None:
-    """Scale normals (N, 3) to unit length in place; raise if the length of one is not within 1 % of
-    one.
-    """
-    given = normals.copy()
+    """Scale normals (N, 3) to unit length in place; raise if one is more than 1 % off."""
+    before = normals.copy()
     worst = normalise(normals)
     if worst >= 0:
         raise InvalidInputError(
-            f"normals must be unit vectors into the object, with a length of one to 1 %; normal {worst} is {given[worst].tolist()} "
-            f"with length {math.hypot(*given[worst]):.6g}: divide it by its length"
+            f"normals must be unit vectors into the object, with a length of one to 1 %; normal {worst} is {before[worst].tolist()} "
+            f"with length {math.hypot(*before[worst]):.6g}: divide it by its length"
         )
 
 
 def check_place(count: int, size: float, centre: Array) -> None:
-    """Raise if the contacts are too close together, too far apart, or too far from the origin; one
-    contact may be anywhere.
+    """Raise if contacts are too close together, too far apart, or too far from the origin.
+
+    One contact may be anywhere.
     """
     if count == 0:
-        raise InvalidInputError("positions must be those of at least one contact, got none")
+        raise InvalidInputError("positions must have at least one contact, got none")
     if count == 1:
         return
     if not ranges.LENGTH.low <= size <= ranges.LENGTH.high:
@@ -62,9 +61,7 @@ def check_place(count: int, size: float, centre: Array) -> None:
 
 
 def check_torsion(gamma: Array, length: float) -> None:
-    """Raise if torsional friction is implausibly large for the size of the grasp; one contact has
-    no size.
-    """
+    """Raise if torsional friction is too large for the grasp's size; one contact has no size."""
     most = ranges.TORSIONAL_LEVER * length
     if length > 0.0 and (gamma > most).any():
         raise InvalidInputError(
@@ -93,8 +90,9 @@ def rank_of(singular: np.ndarray) -> int:
 
 
 def rank_error(rank: int, count: int, hint: str = "") -> RankDeficientGraspError:
-    """Return the error for what needs contacts that can balance wrenches of every direction; it
-    ends with `hint`.
+    """Return the error for contacts that cannot balance wrenches of every direction.
+
+    It ends with `hint`.
     """
     return RankDeficientGraspError(
         f"rank(G) = {rank} < 6 with {count} contact{'s' * (count != 1)}: some wrenches cannot be balanced. Use at least three contacts "
@@ -103,13 +101,10 @@ def rank_error(rank: int, count: int, hint: str = "") -> RankDeficientGraspError
 
 
 def checked_pseudoinverse(matrix: Array, frame: Array, count: int) -> Array:
-    """Return the least-norm inverse of G (6, K), with its rank decided in the `frame` (6, 6) of
-    unit moments.
-    """
+    """Return the least-norm inverse of G (6, K), with its rank decided in a `frame` (6, 6)."""
     if not (np.isfinite(matrix).all() and np.isfinite(frame).all()):
-        raise InvalidInputError(
-            "positions, normals and tangents must be finite"
-        )  # only from `unchecked`
+        # only from `unchecked`
+        raise InvalidInputError("positions, normals and tangents must be finite")
     u, s, vt = np.linalg.svd(frame @ matrix, full_matrices=False)
     if len(s) < 6 or s[-1] < RANK_TOLERANCE * s[0]:
         raise rank_error(rank_of(s), count)

@@ -9,8 +9,7 @@ from grasp_env.inputs.arguments import Array
 
 
 def contact_frames(normals: Array) -> Array:
-    """Return contact frames (N, 3, 3), whose columns are (n, o, t) in object coordinates, of inward
-    unit normals (N, 3).
+    """Return frames (N, 3, 3) with columns (n, o, t), object frame, of inward unit normals.
 
     o is the normalised projection of e_x on the tangent plane, or of e_y if |n . e_x| > 0.9; t = n
     x o.

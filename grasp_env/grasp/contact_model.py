@@ -1,5 +1,4 @@
-"""Contact models: the components that a contact transmits, and the scaling that makes every
-friction cone round.
+"""Contact models: transmitted components, and the scaling that makes friction cones round.
 
 | model | transmits | limits |
 |---|---|---|
@@ -57,9 +56,7 @@ class ContactModels:
         torsional_friction: ArrayLike | None,
         count: int,
     ) -> ContactModels:
-        """Check the models of `count` contacts; see `Grasp.from_contacts` for the arguments and
-        errors.
-        """
+        """Check the models of `count` contacts; see `Grasp.from_contacts`."""
         within = ranges.FRICTION
         if (
             isinstance(models, str)
@@ -69,24 +66,24 @@ class ContactModels:
             and within.low <= friction <= within.high
         ):
             # new contacts in a control loop: no checks of each
-            return cls._made(("hard",) * count, np.full((count, 2), friction), np.zeros(count))
+            return cls._from_arrays(
+                ("hard",) * count, np.full((count, 2), friction), np.zeros(count)
+            )
         if isinstance(models, np.ndarray) and models.ndim == 1 and len(models) == count:
             models = models.tolist()
-        each = [models] * count if isinstance(models, str) else models
-        if not isinstance(each, list | tuple) or len(each) != count:
-            given = len(each) if isinstance(each, list | tuple) else shown(models)
-            raise InvalidInputError(
-                f"contact_model must be one name or {count} of them, got {given}"
-            )
-        names = tuple(choice(name, "contact model", CONTACT_MODELS) for name in each)
+        listed = [models] * count if isinstance(models, str) else models
+        if not isinstance(listed, list | tuple) or len(listed) != count:
+            got = len(listed) if isinstance(listed, list | tuple) else shown(models)
+            raise InvalidInputError(f"contact_model must be one name or {count} of them, got {got}")
+        names = tuple(choice(name, "contact model", CONTACT_MODELS) for name in listed)
         mu = _friction(friction, np.array([name != "frictionless" for name in names], dtype=bool))
         gamma = _torsional(
             torsional_friction, np.array([name == "soft" for name in names], dtype=bool)
         )
-        return cls._made(names, mu, gamma)
+        return cls._from_arrays(names, mu, gamma)
 
     @classmethod
-    def _made(cls, names: tuple[str, ...], mu: Array, gamma: Array) -> ContactModels:
+    def _from_arrays(cls, names: tuple[str, ...], mu: Array, gamma: Array) -> ContactModels:
         cone_scale = np.empty((len(names), 3))
         core.cone_scale(mu, cone_scale)
         # dividing by the factor that multiplied returns a force to the last bit; x / inf = 0
@@ -110,9 +107,7 @@ class ContactModels:
 
     @cached_property
     def transmitted(self) -> np.ndarray:
-        """(N, 3) bool: the force components (normal, o, t) that the contacts transmit; torsion is
-        that of soft contacts.
-        """
+        """(N, 3) bool: the transmitted force components (normal, o, t); torsion is separate."""
         sent = self.cone_scale > 0.0
         sent.setflags(write=False)
         return sent
@@ -132,7 +127,7 @@ def _friction(value: ArrayLike, rough: np.ndarray, finite: bool = True) -> Array
     """Return coefficients (N, 2), checked for the contacts that are `rough` (N,), 0 for the others."""
     count = len(rough)
     shapes = (), (count,), (count, 2)
-    return _each(
+    return _per_contact(
         value,
         "friction",
         shapes,
@@ -153,7 +148,7 @@ def _torsional(value: ArrayLike | None, soft: np.ndarray) -> Array:
             "about 0.005 for a fingertip with a contact patch of 1 cm radius"
         )
     shapes = (), soft.shape
-    return _each(
+    return _per_contact(
         value,
         "torsional_friction",
         shapes,
@@ -163,7 +158,7 @@ def _torsional(value: ArrayLike | None, soft: np.ndarray) -> Array:
     )
 
 
-def _each(
+def _per_contact(
     value: ArrayLike,
     name: str,
     shapes: tuple[tuple[int, ...], ...],
@@ -172,19 +167,18 @@ def _each(
     where: str,
     finite: bool = True,
 ) -> Array:
-    """Return numbers of one of some shapes in the last of them, in a range where they are `felt`
-    (N,), else 0.
+    """Return numbers in the last of some shapes, checked where they are `felt` (N,), else 0.
 
     With `finite=False` the others may be infinite or nan.
     """
-    given = as_array(value, None, name, finite=finite)
-    if given.shape not in shapes:
+    numbers = as_array(value, None, name, finite=finite)
+    if numbers.shape not in shapes:
         raise InvalidInputError(
-            f"{name} must have shape {' or '.join(map(str, shapes))}, got {given.shape}"
+            f"{name} must have shape {' or '.join(map(str, shapes))}, got {numbers.shape}"
         )
-    rows = given[:, None] if given.ndim == 1 and len(shapes[-1]) == 2 else given
+    rows = numbers[:, None] if numbers.ndim == 1 and len(shapes[-1]) == 2 else numbers
     full = np.array(np.broadcast_to(rows, shapes[-1]), order="C")
     if not ((full >= within.low) & (full <= within.high))[felt].all():
-        raise InvalidInputError(f"{name} must lie within {within} {where}, got {shown(given)}")
+        raise InvalidInputError(f"{name} must lie within {within} {where}, got {shown(numbers)}")
     full[~felt] = 0.0
     return full

@@ -56,7 +56,7 @@ def save_grasp(grasp: Grasp, path: str | Path) -> Path:
     file = as_path(path, GraspFileError, "a grasp's file")
     lines = [
         f"  {json.dumps(key)}: {json.dumps(value)}"
-        for key, value in _described(as_grasp(grasp)).items()
+        for key, value in _to_json(as_grasp(grasp)).items()
     ]
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -68,8 +68,9 @@ def save_grasp(grasp: Grasp, path: str | Path) -> Path:
 
 
 def load_grasp(path: str | Path) -> Grasp:
-    """Read a grasp from the JSON file at `path`, whose keys are those of `Grasp.from_contacts`; see
-    the top of this module.
+    """Read a grasp from the JSON file at `path`, with the keys of `Grasp.from_contacts`.
+
+    The top of this module has an example.
 
     If `schema` and `units` are given, they must be those of this version.
 
@@ -79,31 +80,31 @@ def load_grasp(path: str | Path) -> Grasp:
             and the field; `__cause__` is the error of `from_contacts`.
     """
     file = as_path(path, GraspFileError, "a grasp's file")
-    given = _read(file)
+    values = _read(file)
     for key in ("torsional_friction", "tangents"):
-        if key in given and given[key] is None:
+        if key in values and values[key] is None:
             raise GraspFileError(
                 f"grasp file {file}: {key} must be numbers or lists of numbers, got None: leave the key out"
             )
-    models = given.get("contact_model", "hard")
+    models = values.get("contact_model", "hard")
     if not isinstance(models, str | list):
         raise GraspFileError(
             f"grasp file {file}: contact_model must be a name or a list of N names, got {shown(models)}"
         )
     try:
         return Grasp.from_contacts(
-            given["positions"],
-            given["normals"],
-            given["friction"],
+            values["positions"],
+            values["normals"],
+            values["friction"],
             contact_model=models,
-            torsional_friction=given.get("torsional_friction"),
-            tangents=given.get("tangents"),
+            torsional_friction=values.get("torsional_friction"),
+            tangents=values.get("tangents"),
         )
     except GraspError as error:
         raise GraspFileError(f"grasp file {file}: {error}") from error
 
 
-def _described(grasp: Grasp) -> dict[str, Any]:
+def _to_json(grasp: Grasp) -> dict[str, Any]:
     models = grasp.models
     mu = models.friction
     arguments: dict[str, Any] = {
@@ -124,40 +125,41 @@ def _described(grasp: Grasp) -> dict[str, Any]:
 
 
 def _read(file: Path) -> dict[str, Any]:
-    """Return the keys and values of a file with a valid header; integers become floats, so huge
-    ones become inf.
+    """Return the keys and values of a file with a valid header.
+
+    Integers become floats, so huge ones become inf.
     """
-    given = read_json(
+    values = read_json(
         file, GraspFileError, "grasp file", _MAX_BYTES, parse_int=float, object_pairs_hook=_unique
     )
-    if not isinstance(given, dict):
+    if not isinstance(values, dict):
         raise GraspFileError(
-            f"grasp file {file} must be one JSON object {{...}}, got {shown(given)}"
+            f"grasp file {file} must be one JSON object {{...}}, got {shown(values)}"
         )
-    if given.get("schema", SCHEMA) != SCHEMA:
+    if values.get("schema", SCHEMA) != SCHEMA:
         raise GraspFileError(
-            f"grasp file {file} has schema {shown(given['schema'])}, this version reads {SCHEMA!r}: convert it, or leave the "
+            f"grasp file {file} has schema {shown(values['schema'])}, this version reads {SCHEMA!r}: convert it, or leave the "
             "key out of a file written by hand"
         )
-    unknown = [key for key in given if key not in (*_HEADER, *_REQUIRED, *_OPTIONAL)]
-    missing = [key for key in _REQUIRED if key not in given]
+    unknown = [key for key in values if key not in (*_HEADER, *_REQUIRED, *_OPTIONAL)]
+    missing = [key for key in _REQUIRED if key not in values]
     if unknown or missing:
         raise GraspFileError(
             f"grasp file {file}: unknown keys {shown(unknown)}, missing keys {missing}; required are {list(_REQUIRED)}, "
             f"allowed besides {[*_OPTIONAL, *_HEADER]}"
         )
-    units = given.get("units", {})
+    units = values.get("units", {})
     if not isinstance(units, dict) or any(UNITS.get(key) != unit for key, unit in units.items()):
         raise GraspFileError(
             f"grasp file {file}: units must be {UNITS} or part of it, got {shown(units)}: convert the numbers"
         )
-    return given
+    return values
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict[str, Any]()
+    values = dict[str, Any]()
     for key, value in pairs:
-        if key in found:
+        if key in values:
             raise ValueError(f"key {shown(key)} is given twice: keep one")
-        found[key] = value
-    return found
+        values[key] = value
+    return values

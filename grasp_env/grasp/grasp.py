@@ -51,15 +51,13 @@ class _Lazy:
     def __get__(self, grasp: Grasp | None, _: type) -> Any:
         if grasp is None:
             return self
-        made = self._make(grasp) if self._make else getattr(grasp.contacts, self._name)
-        vars(grasp)[self._name] = made
-        return made
+        value = self._make(grasp) if self._make else getattr(grasp.contacts, self._name)
+        vars(grasp)[self._name] = value
+        return value
 
 
 def _lazy(make: Callable[[Grasp], Any] | None = None) -> Any:
-    """Declare a lazy attribute, computed by `make`, or read from the compiled contacts if `make` is
-    None.
-    """
+    """Declare a lazy attribute, computed by `make` (None: read from the compiled contacts)."""
     return _Lazy(make)
 
 
@@ -161,10 +159,10 @@ class Grasp:
             points = check(checked_points, positions)
             count = None if points is None else len(points)
             inward = check(as_array, normals, (count, 3), "normals")
-            given = contact_model, friction, torsional_friction
-            models: Any = None if count is None else check(ContactModels.checked, *given, count)
+            settings = contact_model, friction, torsional_friction
+            models: Any = None if count is None else check(ContactModels.checked, *settings, count)
         normalise_normals(inward)
-        grasp = cls._made(points, inward, models, checked_tangents(tangents, inward))
+        grasp = cls._from_arrays(points, inward, models, checked_tangents(tangents, inward))
         if torsional_friction is not None:
             check_torsion(models.torsional_friction, grasp.length)
         return grasp
@@ -173,10 +171,9 @@ class Grasp:
     def unchecked(
         cls, positions: Array, normals: Array, models: ContactModels, tangents: Array | None = None
     ) -> Grasp:
-        """Make the same grasp as `from_contacts`, to the last bit, from trusted `positions`,
-        `normals` and `tangents` (N, 3) and `models`.
+        """Make the same grasp as `from_contacts`, to the last bit, from trusted arguments.
 
-        Not checked are the number of contacts, the models, tangents that are nearly along a normal,
+        `positions`, `normals` and `tangents` are (N, 3). Not checked are the number of contacts, the models, tangents that are nearly along a normal,
         and torsional friction against the grasp's length.
 
         Raises:
@@ -184,7 +181,7 @@ class Grasp:
         """
         try:
             along = DEFAULT_TANGENTS if tangents is None else np.ascontiguousarray(tangents)
-            return cls._made(
+            return cls._from_arrays(
                 np.ascontiguousarray(positions), np.ascontiguousarray(normals), models, along
             )
         except (AttributeError, TypeError) as error:
@@ -194,7 +191,7 @@ class Grasp:
             ) from None
 
     @classmethod
-    def _made(
+    def _from_arrays(
         cls, positions: Array, normals: Array, models: ContactModels, tangents: Array
     ) -> Grasp:
         contacts = Contacts.put(
@@ -229,8 +226,7 @@ class Grasp:
 
     @cached_property
     def pseudoinverse(self) -> Array:
-        """G^+, (3N, 6): the least-norm forces for unit wrenches; soft contacts contribute
-        `torsion_matrix`.
+        """G^+, (3N, 6): least-norm forces for unit wrenches, with the torsions of soft contacts.
 
         Raises:
             RankDeficientGraspError: the rank is below 6.
@@ -253,8 +249,7 @@ class Grasp:
 
     @property
     def rank(self) -> int:
-        """Rank of G, with the torsions of soft contacts: below 6, the contacts cannot balance
-        wrenches of every direction.
+        """Rank of G with soft torsions; 6 if the contacts can balance wrenches of every direction.
 
         Two hard contacts, or any on one line, have rank 5: no force of theirs turns the object
         about that line.
@@ -262,30 +257,28 @@ class Grasp:
         return self.contacts.rank
 
     def within_reach(self, wrench: Wrench) -> Wrench:
-        """Return a wrench (6,) [N, N m] without its part that no forces of these contacts make,
-        whatever their signs.
+        """Return a wrench (6,) [N, N m] without its part that no contact forces make.
 
-        With `rank` 6 nothing is left out. What is left out is orthogonal to the rest, with moments
-        about `centre` and divided by `length`.
+        The signs of these forces do not matter. With `rank` 6 nothing is left out. What is left out
+        is orthogonal to the rest, with moments about `centre` and divided by `length`.
 
         Example:
             >>> pinch = Grasp.from_contacts([[0, 0.03, 0], [0, -0.03, 0]], [[0, -1, 0], [0, 1, 0]], 0.8)
             >>> pinch.rank, pinch.within_reach([0, 0, -1, 0, 0.01, 0.02])      # hard contacts do not resist the moment about y
             (5, array([ 0.  ,  0.  , -1.  ,  0.  ,  0.  ,  0.02]))
         """
-        made = np.empty(6)
-        self.contacts.within_reach(as_array(wrench, (6,), "wrench", ranges.SIZE), made)
-        return made
+        balanced = np.empty(6)
+        self.contacts.within_reach(as_array(wrench, (6,), "wrench", ranges.SIZE), balanced)
+        return balanced
 
     @property
     def largest_friction(self) -> float:
         """Largest friction coefficient of any contact in any direction."""
-        given = vars(self).get(
-            "_friction"
-        )  # of hard contacts, whose `models` are made at their first use
-        if type(given) is float:
-            return given
-        return float((self.models.friction if given is None else given).max())
+        # of hard contacts, whose `models` are made at their first use
+        friction = vars(self).get("_friction")
+        if type(friction) is float:
+            return friction
+        return float((self.models.friction if friction is None else friction).max())
 
     @property
     def hard(self) -> bool:
@@ -293,8 +286,9 @@ class Grasp:
         return not self.contacts.soft
 
     def to_cone(self, force: ContactForces) -> Array:
-        """Return the flat cone coordinates (3N,) [N] of `force` (N, 3) [N]: (u, o, t) with u = mu *
-        normal (VP of Eq. 18).
+        """Return cone coordinates (3N,) [N] of `force` (N, 3) [N], (u, o, t), u = mu * normal.
+
+        The scaling is VP of Eq. 18.
         """
         return (self._rows(force, "force") * self.models.cone_scale).reshape(-1)
 
@@ -303,8 +297,9 @@ class Grasp:
         return self._rows(x, "x") / self.models.cone_divisor
 
     def cone_margins(self, force: ContactForces) -> Array:
-        """Return the friction-cone margins (N,) [N] of `force` (N, 3) [N]: u - sqrt(o^2 + t^2), mu
-        * normal - |tangential| for round cones.
+        """Return the margins (N,) [N] of `force` (N, 3) [N] from the cones: u - sqrt(o^2 + t^2).
+
+        That is mu * normal - |tangential| for round cones.
 
         Example:
             >>> from grasp_env.grasp import presets
@@ -325,8 +320,7 @@ class Grasp:
 
     @cached_property
     def null_dimension(self) -> int:
-        """Number of independent internal forces, those (N, 3) that the contacts transmit and that
-        make no wrench without torsions.
+        """Number of independent internal forces (N, 3), without torsions.
 
         It is the number of transmitted force components minus the rank of G on them: 3N - 6 for
         hard contacts, and 2 less for each frictionless one. The rank is below 6 where soft contacts
@@ -367,15 +361,16 @@ class Grasp:
         )
 
     def wrench(self, force: ContactForces, torsion: Array | None = None) -> Wrench:
-        """Return the wrench (6,) [N, N m] of contact forces `force` (N, 3) and `torsion` (N,) on
-        the object: G f (+ T torsion).
-        """
-        made = self.matrix @ as_array(force, (self.n_contacts, 3), "force", ranges.SIZE).reshape(-1)
-        return made if torsion is None else made + self._twisted(torsion)
+        """Return the wrench (6,) [N, N m] on the object of `force` (N, 3) and `torsion` (N,)."""
+        wrench = self.matrix @ as_array(force, (self.n_contacts, 3), "force", ranges.SIZE).reshape(
+            -1
+        )
+        return wrench if torsion is None else wrench + self._torsion_wrench(torsion)
 
     def residual(self, force: ContactForces, wrench: Wrench, torsion: Array | None = None) -> float:
-        """Return the largest |component| of G f + w [N], moments about the contacts' centre and
-        divided by `length`.
+        """Return the largest |component| of G f + w [N].
+
+        Moments are about the contacts' centre and divided by `length`.
 
         Args:
             force: (N, 3) [N]: normal, o, t.
@@ -386,20 +381,18 @@ class Grasp:
             wrench, (6,), "wrench", ranges.SIZE
         )
         if torsion is not None:
-            error += self._twisted(torsion)
+            error += self._torsion_wrench(torsion)
         return float(np.abs(self.unit_frame @ error).max())
 
     def to_object_frame(self, force: ContactForces) -> Array:
-        """Return vectors (N, 3) [N] along the object's axes from contact-frame forces `force` (N,
-        3) (normal, o, t).
-        """
+        """Return object-frame vectors (N, 3) [N] of `force` (N, 3) (normal, o, t) in contact frames."""
         return np.einsum("nij,nj->ni", self.frames, self._rows(force, "force"))
 
     def to_contact_frame(self, vectors: Array) -> ContactForces:
         """Return contact-frame forces (normal, o, t) (N, 3) [N] from object-frame `vectors` (N, 3)."""
         return np.einsum("nji,nj->ni", self.frames, self._rows(vectors, "vectors"))
 
-    def _twisted(self, torsion: ArrayLike) -> Wrench:
+    def _torsion_wrench(self, torsion: ArrayLike) -> Wrench:
         return self.torsion_matrix @ as_array(torsion, (self.n_contacts,), "torsion", ranges.SIZE)
 
     def _rows(self, value: ArrayLike, name: str) -> Array:

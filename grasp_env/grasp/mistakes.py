@@ -1,8 +1,9 @@
-"""Rules that find common mistakes in contacts, limits and wrenches: wrong units, signs and frames
-solve as well as right ones.
+"""Rules that find common mistakes in contacts, limits and wrenches.
+
+A problem with wrong units, signs or frames is solved without complaint.
 
 Rules that can be near certain take a few microseconds while they find nothing, because every
-`optimize_force` asks them. They read `Grasp.contacts`, which is faster than the attributes of a new
+`optimize_force` calls them. They read `Grasp.contacts`, which is faster than the attributes of a new
 grasp.
 """
 
@@ -78,8 +79,7 @@ def all_outward(grasp: Grasp) -> list[Mistake]:
 
 
 def some_outward(grasp: Grasp) -> list[Mistake]:
-    """Judge normals of which some point away from the centre, if the fingers could squeeze with
-    these turned round.
+    """Judge normals of which some point outwards, if turning these round allows a squeeze.
 
     Turning all normals round never changes force closure.
     """
@@ -91,12 +91,12 @@ def some_outward(grasp: Grasp) -> list[Mistake]:
     if models.transmitted.sum() - grasp.null_dimension < 6:
         return []
     normals = np.where(away[:, None], -grasp.normals, grasp.normals)
-    given = models.cone_scale, models.torsional_friction, grasp.contacts.tangents
-    if not _can_squeeze(core.Contacts.put(grasp.positions, normals, *given)):
+    properties = models.cone_scale, models.torsional_friction, grasp.contacts.tangents
+    if not _can_squeeze(core.Contacts.put(grasp.positions, normals, *properties)):
         return []
     text = (
         f"the normals of contacts {np.nonzero(away)[0].tolist()} point away from the centre of the contacts, and the fingers cannot "
-        "squeeze the object; with these normals turned round they could: normals must point INTO the object"
+        "squeeze the object; with these normals reversed they could: normals must point INTO the object"
     )
     return [Mistake(False, text)]
 
@@ -110,18 +110,18 @@ def _away(grasp: Grasp) -> np.ndarray:
 def _can_squeeze(contacts: core.Contacts) -> bool:
     """True if some force strictly inside the friction cones balances itself."""
     count = contacts.count
-    found = np.zeros(6), np.empty((count, 3)), np.empty(count), np.empty(6)
+    results = np.zeros(6), np.empty((count, 3)), np.empty(count), np.empty(6)
     solver = core.ForceOptimizer(core.Problem(contacts))
-    return solver.deepest(*found)[0] == _CONVERGED
+    return solver.deepest(*results)[0] == _CONVERGED
 
 
 def contact_units(grasp: Grasp) -> list[Mistake]:
     """Judge the units of positions, friction and torsional friction."""
-    found = []
+    mistakes = []
     length = grasp.contacts.length
     if length > LONGEST:
         text = f"the contacts lie {length:.3g} m from their centre (root mean square): positions are in metres; divide millimetres by 1000"
-        found.append(Mistake(True, text))
+        mistakes.append(Mistake(True, text))
     if grasp.largest_friction > ROUGHEST:
         friction = grasp.models.friction.max(axis=1)
         worst = int(friction.argmax())
@@ -129,7 +129,7 @@ def contact_units(grasp: Grasp) -> list[Mistake]:
             f"friction is {friction[worst]:.3g} at contact {worst}: rubber reaches 1 to 2; give the coefficient, tan(friction angle), "
             "not an angle in degrees"
         )
-        found.append(Mistake(bool(friction[worst] > DEGREES), text))
+        mistakes.append(Mistake(bool(friction[worst] > DEGREES), text))
     if not grasp.hard:
         torsion = grasp.models.torsional_friction
         worst = int(torsion.argmax())
@@ -138,8 +138,8 @@ def contact_units(grasp: Grasp) -> list[Mistake]:
                 f"torsional_friction is {torsion[worst]:.3g} m at contact {worst}: a fingertip has about 0.005 m; divide millimetres "
                 "by 1000"
             )
-            found.append(Mistake(False, text))
-    return found
+            mistakes.append(Mistake(False, text))
+    return mistakes
 
 
 def lever_units(jacobian: Array) -> list[Mistake]:
@@ -155,11 +155,9 @@ def lever_units(jacobian: Array) -> list[Mistake]:
 
 
 def frame_and_order(grasp: Grasp, wrench: Wrench) -> list[Mistake]:
-    """Judge the point about which a wrench (6,) has its moment, and the order and units of its
-    force and moment.
-    """
+    """Judge the reference point of a wrench's moment, and the order and units of the wrench."""
     size = grasp.contacts.length
-    found = []
+    mistakes = []
     force, moment, turning, distance = _sizes(grasp, wrench)
     reach = size + distance
     # the force acts near the origin, which is far from the contacts
@@ -173,7 +171,7 @@ def frame_and_order(grasp: Grasp, wrench: Wrench) -> list[Mistake]:
             "it: is its moment about another point (the centre of mass)? Give both in one frame, the moment about the origin of the "
             "positions (in Python wrench_about shifts it), unless the object reaches that far"
         )
-        found.append(Mistake(distance > VERY_FAR * size and distance > ARM, text))
+        mistakes.append(Mistake(distance > VERY_FAR * size and distance > ARM, text))
     # force and moment make sense only if they change places
     if (
         force > 0.0
@@ -186,20 +184,18 @@ def frame_and_order(grasp: Grasp, wrench: Wrench) -> list[Mistake]:
             f"that span {size:.2g} m: a wrench is force [N] first, then moment [N m]; exchange them, or divide the moment by 1000 if it "
             "is in N mm"
         )
-        found.append(Mistake(True, text))
+        mistakes.append(Mistake(True, text))
     elif force == 0.0 and turning > PURE_MOMENT * size:
         text = (
             f"the wrench is a moment of {turning:.3g} N m without a force, on contacts that span {size:.2g} m: a wrench is force [N] "
             "first, then moment [N m]; exchange them, unless the fingers turn something"
         )
-        found.append(Mistake(False, text))
-    return found
+        mistakes.append(Mistake(False, text))
+    return mistakes
 
 
 def _sizes(grasp: Grasp, wrench: Wrench) -> tuple[float, float, float, float]:
-    """Return the magnitudes of the force [N], of the moment, of that about the contacts' centre [N
-    m], and the centre's distance [m].
-    """
+    """Return |force|, |moment|, |moment about the contacts' centre| and |centre| [N, N m, m]."""
     (fx, fy, fz, mx, my, mz), (x, y, z) = wrench.tolist(), grasp.contacts.centre.tolist()
     turning = hypot(mx - (y * fz - z * fy), my - (z * fx - x * fz), mz - (x * fy - y * fx))
     return hypot(fx, fy, fz), hypot(mx, my, mz), turning, hypot(x, y, z)
@@ -208,17 +204,15 @@ def _sizes(grasp: Grasp, wrench: Wrench) -> tuple[float, float, float, float]:
 def torque_units(
     grasp: Grasp, wrench: Wrench, jacobian: Array, torque_limit: Array
 ) -> list[Mistake]:
-    """Judge the units of torque limits (J,), given J^T f of the force that the wrench needs without
-    them.
-    """
+    """Judge the units of torque limits (J,) by the torques that the wrench needs."""
     force, _, turning, _ = _sizes(grasp, wrench)
     # a single contact has no length
     if force * grasp.length + turning < SMALLEST_LOAD * grasp.length:
         return []
-    found: Any = core.ForceOptimizer(core.Problem(grasp.contacts)).solve(wrench)
-    if not found.has_force:
+    solution: Any = core.ForceOptimizer(core.Problem(grasp.contacts)).solve(wrench)
+    if not solution.has_force:
         return []
-    pushed = np.hstack([found.object_force, found.torsion[:, None] * grasp.normals])
+    pushed = np.hstack([solution.object_force, solution.torsion[:, None] * grasp.normals])
     needed = np.abs(np.einsum("nrj,nr->j", jacobian, pushed[:, : jacobian.shape[1]]))
     with np.errstate(divide="ignore"):
         shares = torque_limit / needed
@@ -279,9 +273,7 @@ def condition(grasp: Grasp) -> list[Mistake]:
 
 
 def _condition_number(grasp: Grasp, about: Array) -> float:
-    """Return the condition number of G, with moments taken about `about` (3,) [m] and divided by
-    the grasp's length.
-    """
+    """Return the condition number of G, moments about `about` (3,) [m] divided by the length."""
     matrix = grasp.matrix * grasp.models.transmitted.reshape(-1)
     whole = np.concatenate([matrix, grasp.torsion_matrix * grasp.length], axis=1)
     whole[3:] -= np.cross(about, whole[:3].T).T

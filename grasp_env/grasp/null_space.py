@@ -1,6 +1,4 @@
-"""A basis of internal forces that depends continuously on the contacts; the basis of an SVD does
-not.
-"""
+"""A basis of internal forces that is continuous in the contacts; that of an SVD is not."""
 
 from __future__ import annotations
 
@@ -45,8 +43,9 @@ def null_space_basis(grasp: Grasp, reference: Array | None = None) -> Array:
 
 
 def reference_basis(grasp: Grasp) -> Array:
-    """Return orthonormal object-frame internal forces (3N, null_dimension), the `reference` of
-    `null_space_basis` for nearby grasps.
+    """Return orthonormal object-frame internal forces (3N, null_dimension).
+
+    They are the `reference` of `null_space_basis` for nearby grasps.
 
     The columns come from squeezes along the lines between pairs of contacts (the virtual linkage of
     Williams and Khatib, 1993). If these are not a basis of the null space (coplanar or frictionless
@@ -70,9 +69,9 @@ def reference_basis(grasp: Grasp) -> Array:
         and np.linalg.svd(squeezes, compute_uv=False)[-1] > 1e-2
     ):
         return _polar(squeezes)
-    found = np.zeros((3 * count, dimension))
-    found[sent] = np.linalg.svd(grasp.matrix[:, sent])[2][sent.sum() - dimension :].T
-    in_object = _rotate(grasp, _internal(grasp, found), back=True)
+    basis = np.zeros((3 * count, dimension))
+    basis[sent] = np.linalg.svd(grasp.matrix[:, sent])[2][sent.sum() - dimension :].T
+    in_object = _rotate(grasp, _internal(grasp, basis), back=True)
     in_object *= np.sign(in_object[np.abs(in_object).argmax(axis=0), np.arange(dimension)])
     return in_object
 

@@ -37,8 +37,7 @@ PRESETS = tuple(_CONTACTS)
 
 
 def preset(name: str, friction: float | Array | None = None) -> Grasp:
-    """Return the named grasp, one of `PRESETS`; `friction`, a number, (N,) or (N, 2), replaces its
-    coefficient.
+    """Return the named grasp of `PRESETS`; `friction`, scalar, (N,) or (N, 2), replaces its own.
 
     Raises:
         UnknownNameError: no preset has that name.
@@ -47,13 +46,14 @@ def preset(name: str, friction: float | Array | None = None) -> Grasp:
         >>> preset("tripod", friction=0.8).friction
         array([0.8, 0.8, 0.8])
     """
-    positions, normals, own = _CONTACTS[choice(name, "preset", PRESETS)]
-    return Grasp.from_contacts(positions, normals, own if friction is None else friction)
+    positions, normals, default = _CONTACTS[choice(name, "preset", PRESETS)]
+    return Grasp.from_contacts(positions, normals, default if friction is None else friction)
 
 
 def paper_cuboid(friction: float | Array | None = None) -> Grasp:
-    """Return the reference grasp: thumb at -z, three fingers at +z of a 0.1 m cuboid, mu = 0.4;
-    `friction` as in `preset`.
+    """Return the paper's grasp: thumb at -z, three fingers at +z of a 0.1 m cuboid, mu = 0.4.
+
+    `friction` is as in `preset`.
 
     Example:
         >>> paper_cuboid().positions[0]

@@ -1,5 +1,4 @@
-"""Rigid changes of frame for wrenches and grasps, moments about other points, and weight as a
-wrench.
+"""Rigid changes of frame for wrenches and grasps, other moment points, and weights.
 
 The pose of frame B in frame A is (rotation R, translation p): the columns of R are the axes of B in
 A's coordinates, and p is the origin of B in A [m]. A point has x_A = R x_B + p. The inverse pose is
@@ -24,8 +23,7 @@ GRAVITY: tuple[float, float, float] = (0.0, 0.0, -9.81)
 
 
 def transform_wrench(wrench: ArrayLike, rotation: ArrayLike, translation: ArrayLike) -> Array:
-    """Express wrenches in another frame, with its axes and origin (the adjoint of Murray, Li,
-    Sastry 1994).
+    """Express wrenches in another frame (the adjoint of Murray, Li, Sastry 1994).
 
     F_A = R F_B and m_A = R m_B + p x F_A, where m_B is about the origin of B and m_A about the
     origin of A.
@@ -96,8 +94,9 @@ def transformed(grasp: Grasp, rotation: ArrayLike, translation: ArrayLike) -> Gr
 
 
 def wrench_about(wrench: ArrayLike, point: ArrayLike) -> Array:
-    """Express `wrench` (..., 6) [N, N m] with moments about `point` (3,) [m], not the origin, along
-    the same axes: m' = m - p x F.
+    """Express `wrench` (..., 6) [N, N m] with moments about `point` (3,) [m]: m' = m - p x F.
+
+    The axes stay the same.
 
     Example:
         >>> wrench_about([0, 0, -2, 0, 0.2, 0], [0.1, 0, 0])   # the weight has no moment about where it hangs

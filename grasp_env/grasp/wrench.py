@@ -45,16 +45,15 @@ def paper_path(time: ArrayLike) -> Array:
 
 
 def magnitude(wrench: Array, length: float = MAGNITUDE_LENGTH) -> Array:
-    """Return |(force, moment / length)| (...,) [N] of `wrench` (..., 6) [N, N m], with a `length`
-    [m] that converts moments to forces.
+    """Return |(force, moment / length)| (...,) [N] of `wrench` (..., 6) [N, N m].
 
     Example:
         >>> float(magnitude([3, 0, 0, 0, 0, 0.2]))
         5.0
     """
-    given = as_wrenches(wrench)
+    wrenches = as_wrenches(wrench)
     scaled = np.concatenate(
-        [given[..., :3], given[..., 3:] / positive(length, "length", ranges.LENGTH)], axis=-1
+        [wrenches[..., :3], wrenches[..., 3:] / positive(length, "length", ranges.LENGTH)], axis=-1
     )
     return np.sqrt((scaled**2).sum(axis=-1))
 
@@ -62,8 +61,7 @@ def magnitude(wrench: Array, length: float = MAGNITUDE_LENGTH) -> Array:
 def sample_ball(
     rng: np.random.Generator, count: int, force: float = FORCE_RADIUS, moment: float = MOMENT_RADIUS
 ):
-    """Draw (count, 6) wrenches by `rng`, forces and moments uniform in balls of radius `force` [N]
-    and `moment` [N m].
+    """Draw (count, 6) wrenches by `rng`, uniform in balls of radius `force` [N], `moment` [N m].
 
     Example:
         >>> sample_ball(np.random.default_rng(0), 100).shape
@@ -78,8 +76,7 @@ def sample_ball(
 def sample_magnitudes(
     rng: np.random.Generator, count: int, low: float = 0.1, high: float = 20.0
 ) -> Array:
-    """Draw (count, 6) wrenches by `rng`, directions uniform on the 6-sphere of (force, moment /
-    0.05 m).
+    """Draw (count, 6) wrenches by `rng`, uniform directions of (force, moment / 0.05 m).
 
     Their `magnitude` is log-uniform from `low` to `high` [N].
 
@@ -119,10 +116,10 @@ def sample_path(rng: np.random.Generator, count: int, step: float = 0.03) -> Arr
         path[k] = point
         move = np.concatenate([_ball(rng, 1)[0] * FORCE_RADIUS, _ball(rng, 1)[0] * MOMENT_RADIUS])
         point = point + step * move
-        for part, radius in ((slice(0, 3), FORCE_RADIUS), (slice(3, 6), MOMENT_RADIUS)):
-            norm = float(np.sqrt((point[part] ** 2).sum()))
+        for axes, radius in ((slice(0, 3), FORCE_RADIUS), (slice(3, 6), MOMENT_RADIUS)):
+            norm = float(np.sqrt((point[axes] ** 2).sum()))
             if norm > radius:  # reflect at the surface of the ball
-                point[part] *= (2.0 * radius - norm) / norm
+                point[axes] *= (2.0 * radius - norm) / norm
     return path
 
 

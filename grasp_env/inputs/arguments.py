@@ -46,11 +46,10 @@ def as_array(
     copy: bool = True,
     used: np.ndarray | None = None,
 ) -> Array:
-    """Return `value` as a new finite float64 array of `shape` (None: any) with numbers in a range,
-    contiguous and aligned.
+    """Return `value` as a finite, contiguous, aligned float64 array of `shape` (None: any).
 
-    `finite=False` accepts infinities and nan; `copy=False` returns an array that needs no
-    conversion as it is. Rows that a mask `used` (N,) leaves out may hold any numbers.
+    The array is new, and its numbers lie in the range `within`. `finite=False` accepts infinities
+    and nan; `copy=False` returns an array that needs no conversion as it is. Rows that a mask `used` (N,) leaves out may hold any numbers.
     """
     if type(value) is np.ndarray and value.dtype is _FLOAT:
         array = (
@@ -83,23 +82,22 @@ def as_array(
 def _converted(value: Any, shape: Shape | None, name: str) -> Array:
     """Return a new float64 array of anything that numpy reads as real numbers."""
     try:
-        given: Any = np.asarray(value)
+        array: Any = np.asarray(value)
         # the usual case: a new array that needs no conversion
-        if type(value) is list and given.dtype is _FLOAT:
-            return given
+        if type(value) is list and array.dtype is _FLOAT:
+            return array
         if np.ma.is_masked(value):  # `asarray` reads what the mask hides
-            why = "masked entries are no numbers"
-        elif given.dtype.kind == "O":  # fractions, large integers, None
-            each: Any = [as_number(entry) for entry in given.flat]
-            if None not in each:
-                return np.reshape(each, given.shape)
+            why = "masked entries are not numbers"
+        elif array.dtype.kind == "O":  # fractions, large integers, None
+            entries: Any = [as_number(entry) for entry in array.flat]
+            if None not in entries:
+                return np.reshape(entries, array.shape)
             why = "not all of them are"
-        elif (
-            given.dtype.kind in "iuf"
-        ):  # numpy would convert text and booleans, too, and complex numbers in part
-            return np.array(given, dtype=np.float64, order="C")
+        elif array.dtype.kind in "iuf":
+            # numpy would convert text and booleans, too, and complex numbers in part
+            return np.array(array, dtype=np.float64, order="C")
         else:
-            why = f"they are of type {given.dtype}"
+            why = f"they are of type {array.dtype}"
     except Exception as error:  # numpy's own
         why = str(error).partition("\n")[0].rstrip(".")[:200]
     raise InvalidInputError(
@@ -118,9 +116,7 @@ def as_wrench(value: ArrayLike, name: str = "wrench") -> Wrench:
 
 
 def checked_size(wrench: Array, name: str = "wrench") -> Array:
-    """Return finite wrenches (..., 6); raise an `InvalidInputError` for components beyond 1e12 N
-    and N m.
-    """
+    """Return finite wrenches (..., 6), or raise for components beyond 1e12 N and N m."""
     if wrench.size and np.abs(wrench).max() > LARGEST:
         raise InvalidInputError(
             f"{name} must have components up to {LARGEST:g} N and N m, got {shown(wrench)}"
@@ -139,8 +135,9 @@ def as_wrenches(value: ArrayLike) -> Array:
 
 
 def as_number(value: Any) -> float | None:
-    """Return a real number, or an array of one without axes, as a float (infinite if it is too
-    large); None if it is neither.
+    """Return a real number as a float, or None if it is not one.
+
+    An array without axes counts as its number. A number that is too large becomes infinite.
     """
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value.item()
@@ -162,17 +159,15 @@ def positive(value: Any, name: str, within: Range = ranges.POSITIVE) -> float:
 
 def number(value: Any, name: str, within: Range = ranges.FINITE) -> float:
     """Return a finite float within a range, or raise an `InvalidInputError`."""
-    found = as_number(value)
-    if found is None or not within.low <= found <= within.high:
-        must = "be a number" if found is None else "lie"
+    result = as_number(value)
+    if result is None or not within.low <= result <= within.high:
+        must = "be a number" if result is None else "lie"
         raise InvalidInputError(f"{name} must {must} within {within}, got {shown(value)}")
-    return found
+    return result
 
 
 def whole(value: Any, name: str, least: int, most: int = ranges.SEED) -> int:
-    """Return an integer from `least` to `most`, or raise an `InvalidInputError`; 2.0 is not an
-    integer.
-    """
+    """Return an integer from `least` to `most`, or raise `InvalidInputError`, also for 2.0."""
     is_integer = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not is_integer or not least <= value <= most:
         allowed = f"from {least} to {most}" if is_integer and value > most else f">= {least}"
@@ -209,8 +204,7 @@ def instance(value: Any, kind: type[T], name: str, or_none: bool = False) -> Any
 
 
 class AllFaults:
-    """Collects the faults of several checks and raises them as one error at the end of the `with`
-    block.
+    """Collects the faults of several checks and raises one error at the end of the `with` block.
 
     A single fault is raised as it is, several as an `InvalidInputError` with the texts of all.
     """
@@ -223,12 +217,10 @@ class AllFaults:
     def __enter__(self) -> AllFaults:
         return self
 
-    def __call__(self, check: Callable[..., T], *given: Any, **options: Any) -> T:
-        """Return `check(*given, **options)`, or keep its fault and return None, which nobody uses
-        as the block then raises.
-        """
+    def __call__(self, check: Callable[..., T], *args: Any, **options: Any) -> T:
+        """Return `check(*args, **options)`; keep a fault and return None, as the block raises."""
         try:
-            return check(*given, **options)
+            return check(*args, **options)
         except GraspError as fault:
             self.faults.append(fault)
             return None  # type: ignore[return-value]
@@ -252,16 +244,14 @@ class AllFaults:
 
 def call_user(
     function: Callable[..., Any],
-    *given: Any,
+    *args: Any,
     what: str,
     takes: str,
     fault: type[GraspError] = InvalidInputError,
 ) -> Any:
-    """Call a user's function; any failure becomes a `fault` that names `what` failed and what it
-    `takes`.
-    """
+    """Call a user's function; any failure becomes a `fault` that names `what` and its `takes`."""
     try:
-        return function(*given)
+        return function(*args)
     except GraspError:
         raise
     except Exception as error:

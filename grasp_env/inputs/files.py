@@ -36,22 +36,22 @@ def read_bytes(path: str | os.PathLike[str], most: int = TEXT) -> bytes:
     """Read a file, or a pipe such as /dev/stdin, of up to `most` bytes.
 
     Raises:
-        OSError: missing, not readable, a folder, larger than `most`, or no path; `strerror` tells
+        OSError: missing, not readable, a folder, larger than `most`, or not a path; `strerror` says
             which.
     """
     try:
         with open(os.fspath(path), "rb") as file:
-            parts = list[bytes]()
+            chunks = list[bytes]()
             left = most + 1
             # files under /proc and pipes do not tell their size
-            while part := file.read(min(left, MEGABYTE)):
-                parts.append(part)
-                left -= len(part)
+            while chunk := file.read(min(left, MEGABYTE)):
+                chunks.append(chunk)
+                left -= len(chunk)
     except (TypeError, ValueError) as error:
-        raise OSError(errno.EINVAL, f"no path of a file ({error})", shown(path)) from None
+        raise OSError(errno.EINVAL, f"not a path of a file ({error})", shown(path)) from None
     if left == 0:
         raise OSError(errno.EFBIG, f"it is larger than {most // MEGABYTE} MB", str(path))
-    return b"".join(parts)
+    return b"".join(chunks)
 
 
 def read_json(
@@ -88,8 +88,9 @@ HEAD = 4096
 
 
 def stand_in(blob: bytes) -> tuple[str, str]:
-    """Return what a user has in place of a file, such as "web page", and the remedy; "" and "" if
-    it may be the file itself.
+    """Return what a user has in place of a file, such as "web page", and the remedy.
+
+    Both are "" if it may be the file itself.
 
     Example:
         >>> stand_in(b"<!DOCTYPE html>")[0], stand_in(b"<robot/>")[0]
@@ -110,11 +111,10 @@ def parsed(
     hint: str = "",
     most: int = TEXT,
 ) -> Any:
-    """Return `read(bytes of a file)`; any failure becomes an `error`, but errors of this project
-    stay as they are.
+    """Return `read(bytes of a file)`; any failure becomes an `error`.
 
-    `name`, `form` and `hint` are the file's name, its expected content and the remedy, for the
-    message.
+    Errors of this project stay as they are. `name`, `form` and `hint` are the file's name, its
+    expected content and the remedy, for the message.
     """
     try:
         blob = read_bytes(path, most)
@@ -151,8 +151,7 @@ def unpacked(blob: bytes) -> dict[str, np.ndarray]:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give a hidden name beside `path` to write a file or a folder to, which becomes `path` at the
-    end of the block.
+    """Yield a hidden name beside `path`; what is written there becomes `path` after the block.
 
     Readers find the old content or the new one, never a part: not after an interrupt, and not after
     a power cut, because the content is on the disk before it gets its name. Of several writers of a
@@ -191,15 +190,14 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def _hidden(target: Path) -> Path:
-    return target.with_name(
-        f"{_MARK}{os.urandom(4).hex()}.{target.name[-50:]}"
-    )  # names have at most 255 bytes
+    # names have at most 255 bytes
+    return target.with_name(f"{_MARK}{os.urandom(4).hex()}.{target.name[-50:]}")
 
 
 def _sync(path: Path) -> None:
     """Wait until a file, or a folder with all that is in it, is on the disk."""
-    for each in (*path.rglob("*"), path):
-        _sync_entry(each)
+    for entry in (*path.rglob("*"), path):
+        _sync_entry(entry)
 
 
 def _sync_entry(path: Path) -> None:
@@ -232,8 +230,9 @@ def _remove(path: Path) -> None:
 
 
 def file_fault(error: OSError, place: str = "path") -> str:
-    """Return why a file cannot be read or written, and how to mend it; `place` says what else may
-    be chosen.
+    """Return why a file cannot be read or written, and the remedy.
+
+    `place` is what else may be chosen.
 
     Example:
         >>> file_fault(OSError(28, "No space left on device"), "--out"), file_fault(OSError("the encoder failed"))

@@ -32,8 +32,7 @@ FRICTION = Range(1e-4, 1e4)
 """Coulomb coefficients.
 
 Below 1e-6, where normal forces are a million times the load, and above 1e5 balance loses its
-digits.
-"""
+digits."""
 TORSIONAL_FRICTION = Range(1e-15, 1e6, "m")
 """Torsional friction gamma."""
 TORSIONAL_LEVER = 1e4
@@ -54,7 +53,7 @@ CONTACTS = 1000
 """Most contacts of a grasp."""
 
 FORCE_WEIGHT = Range(1e-4, 1e4)
-"""Weight omega. Phi knows forces in units of sqrt(lambda / omega) only: 100 kN at the most."""
+"""Weight omega. Phi has forces in units of sqrt(lambda / omega) only: 100 kN at the most."""
 BARRIER_WEIGHT = Range(1e-16, 1e6, "N^2")
 """Weight lambda: 0.01 for newtons is 1e-14 for micronewtons."""
 TOLERANCE = Range(1e-300, 1.0)

@@ -1,5 +1,4 @@
-"""Grasp quality on the exact friction cones: which wrenches contacts can balance, and with how much
-force.
+"""Grasp quality on exact friction cones: which wrenches can be balanced, with what force.
 
 `feasibility` and `force_closure` need numpy only; the convex hulls of `epsilon` and `worst_case`
 need scipy.

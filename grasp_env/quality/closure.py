@@ -1,5 +1,4 @@
-"""Force closure: existence of an internal force strictly inside all friction cones, with a proof
-either way.
+"""Force closure: an internal force strictly inside all friction cones, or a disproof.
 
 If rank(G) = 6, such an internal force exists exactly if every wrench can be balanced (Murray, Li,
 Sastry 1994, Prop. 5.2; Nguyen 1988). With a lower rank there is no closure. The cones are exact,
@@ -67,9 +66,9 @@ class ForceClosure:
     @property
     def witness(self) -> Array:
         """`force` if closed, else `twist`."""
-        found = self.force if self.closed else self.twist
-        assert found is not None
-        return found
+        proof = self.force if self.closed else self.twist
+        assert proof is not None
+        return proof
 
     def __bool__(self) -> bool:
         return self.closed
@@ -91,8 +90,8 @@ def force_closure(grasp: Grasp, limits: ForceLimits | None = None) -> ForceClosu
 
     Example:
         >>> from grasp_env.grasp import Grasp, presets
-        >>> found = force_closure(presets.tripod())
-        >>> bool(found), found.margin, found.force[:, 0]
+        >>> closure = force_closure(presets.tripod())
+        >>> bool(closure), closure.margin, closure.force[:, 0]
         (True, 0.25, array([0.667, 0.667, 0.667]))
         >>> palm = presets.paper_cuboid()
         >>> print(force_closure(Grasp.from_contacts(palm.positions, [[0, 0, 1]] * 4, 0.4)))
@@ -105,14 +104,14 @@ def force_closure(grasp: Grasp, limits: ForceLimits | None = None) -> ForceClosu
         return cones
     if grasp.rank < 6:
         return _rank_lost(grasp)
-    found = deepest(grasp, np.zeros(6), limits)
-    margin, twist = found.margin, found.twist
-    if found.code == CONVERGED:
+    result = deepest(grasp, np.zeros(6), limits)
+    margin, twist = result.margin, result.twist
+    if result.code == CONVERGED:
         # without limits the size of the force is arbitrary: normalise it
         sized = limits is not None and bool(limits.rows(grasp).bound.any())
-        size = 1.0 if sized else float((grasp.models.cone_scale[:, 0] * found.force[:, 0]).sum())
-        force = found.force / size
-        torsion = found.torsion / size
+        size = 1.0 if sized else float((grasp.models.cone_scale[:, 0] * result.force[:, 0]).sum())
+        force = result.force / size
+        torsion = result.torsion / size
         error = grasp.residual(force, np.zeros(6), torsion) / float(np.abs(force).sum())
         text = (
             f"force closure: the {grasp.n_contacts} contacts can squeeze with every force strictly inside its limits "
@@ -123,14 +122,14 @@ def force_closure(grasp: Grasp, limits: ForceLimits | None = None) -> ForceClosu
         error = _dual_violation(grasp, twist)
         if limits is None and error <= PROVEN:
             return ForceClosure(False, 0.0, None, None, twist, error, _open_help(grasp, twist))
-        if limits is not None and found.code == INFEASIBLE and margin < -CLEAR:
+        if limits is not None and result.code == INFEASIBLE and margin < -CLEAR:
             text = (
                 "no internal force within the further limits, although the contacts alone have force closure: widen the "
                 "limits (least normal forces against largest torques, or a torque bias)"
             )
             return ForceClosure(False, margin, None, None, twist, float("nan"), text)
     raise NotConvergedError(
-        f"force closure is undecided: margin {margin:.3g} after {found.iterations} iterations; this close to losing it a "
+        f"force closure is undecided: margin {margin:.3g} after {result.iterations} iterations; this close to losing it a "
         "grasp should not be relied on: move a contact or raise the friction"
     )
 
@@ -151,9 +150,7 @@ def _rank_lost(grasp: Grasp) -> ForceClosure:
 
 
 def _dual_violation(grasp: Grasp, twist: Array) -> float:
-    """Return the largest violation of the dual cones, relative to the largest G_i^T v; inf if v
-    moves no contact.
-    """
+    """Return the violation of the dual cones relative to the largest G_i^T v; inf if that is 0."""
     q = contact_motions(grasp, twist)
     normal = q[:, 0]
     least = least_normal_motions(grasp, q)

@@ -1,6 +1,4 @@
-"""Feasibility of a wrench: the balanced force with the largest margin, or the twist that proves
-that there is none.
-"""
+"""Feasibility of a wrench: the balanced force with the largest margin, or a separating twist."""
 
 from __future__ import annotations
 
@@ -11,7 +9,7 @@ import numpy as np
 
 from grasp_env import core
 from grasp_env.errors import NotConvergedError
-from grasp_env.force.limits import ForceLimits, as_limits, given_limits
+from grasp_env.force.limits import ForceLimits, as_limits, core_limits
 from grasp_env.force.record import CONVERGED, INFEASIBLE
 from grasp_env.grasp.grasp import Grasp, as_grasp
 from grasp_env.inputs.arguments import Array, ContactForces, Wrench, as_wrench
@@ -66,8 +64,7 @@ class Deepest(NamedTuple):
 
 
 def feasibility(grasp: Grasp, wrench: Wrench, limits: ForceLimits | None = None) -> Feasibility:
-    """Find the balanced force with the largest margin to cones and limits, or prove that there is
-    none.
+    """Find the balanced force with the largest margin to cones and limits, or disprove it.
 
     The core maximises the depth m subject to sum u + r = 1 and m <= r. Here r scales the wrench, x
     / r is the force, and every cone and limit has at least the slack m. This problem always has a
@@ -88,13 +85,13 @@ def feasibility(grasp: Grasp, wrench: Wrench, limits: ForceLimits | None = None)
         True
     """
     load = as_wrench(wrench)
-    found = deepest(as_grasp(grasp), load, as_limits(limits))
-    if found.code == CONVERGED:
-        return Feasibility(found.force, found.torsion, None, found.margin)
-    if found.code == INFEASIBLE:
-        return Feasibility(None, None, found.twist, found.margin)
+    result = deepest(as_grasp(grasp), load, as_limits(limits))
+    if result.code == CONVERGED:
+        return Feasibility(result.force, result.torsion, None, result.margin)
+    if result.code == INFEASIBLE:
+        return Feasibility(None, None, result.twist, result.margin)
     raise NotConvergedError(
-        f"neither a force nor a proof was found for wrench {load.tolist()} (margin {found.margin:.3g} after {found.iterations} "
+        f"neither a force nor a proof was found for wrench {load.tolist()} (margin {result.margin:.3g} after {result.iterations} "
         "iterations)"
     )
 
@@ -102,7 +99,7 @@ def feasibility(grasp: Grasp, wrench: Wrench, limits: ForceLimits | None = None)
 def deepest(grasp: Grasp, wrench: Wrench, limits: ForceLimits | None = None) -> Deepest:
     """Return the core's result for checked arguments; see `feasibility`."""
     n = grasp.n_contacts
-    problem = core.Problem(grasp.contacts, None, given_limits(limits, n))
+    problem = core.Problem(grasp.contacts, None, core_limits(limits, n))
     solver = core.ForceOptimizer(problem)
     force = np.empty((n, 3))
     torsion = np.empty(n)

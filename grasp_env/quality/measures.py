@@ -1,6 +1,4 @@
-"""Measures of grasp quality on the exact cones: closure margin, Ferrari and Canny's epsilon,
-singular values of G.
-"""
+"""Measures of grasp quality: closure margin, Ferrari and Canny's epsilon, singular values."""
 
 from __future__ import annotations
 
@@ -108,8 +106,9 @@ class GraspQuality:
 
 
 def singular_values(grasp: Grasp, length: float | None = None) -> Array:
-    """Return the singular values (6,) of G [N per N], decreasing; moments and torsions are divided
-    by `length` [m] (None: the grasp's).
+    """Return the singular values (6,) of G [N per N], decreasing.
+
+    Moments and torsions are divided by `length` [m] (None: the grasp's).
 
     Components that a contact does not transmit are left out.
 
@@ -132,8 +131,9 @@ def singular_values(grasp: Grasp, length: float | None = None) -> Array:
 def quality(
     grasp: Grasp, *, tolerance: float = 0.01, starts: int = 32, points: int = 400, seed: int = 0
 ) -> GraspQuality:
-    """Return the quality measures of a grasp of any models; tolerance, starts, points and seed of
-    both epsilons as in `worst_case`.
+    """Return the quality measures of a grasp of any models.
+
+    `worst_case` documents tolerance, starts, points and seed, the options of both epsilons.
 
     Example:
         >>> from grasp_env.grasp import presets

@@ -62,8 +62,8 @@ in general position."""
 JOGGLE = 1e-9
 """Largest random shift of a coordinate by Qhull (option QJ); the points have norms of about 1.
 
-To keep the bound valid, 100 times this
-shift is subtracted from every facet's distance to the origin."""
+To keep the bound valid, 100 times this shift is subtracted from every facet's distance to the
+origin."""
 BATCH = 8
 """Number of facets refined at once."""
 
@@ -104,10 +104,7 @@ class WrenchBall:
         return parts.sum(axis=1) if self.shape == "product" else np.sqrt((parts**2).sum(axis=1))
 
     def farthest(self, direction: Array) -> Wrench:
-        """Return the wrench (6,) of the ball with the largest n .
-
-        w, where n is `direction` (6,).
-        """
+        """Return the wrench w (6,) of the ball with the largest n . w, n being `direction` (6,)."""
         parts = (direction * self.radii).reshape(2, 3)
         sizes = np.sqrt((parts**2).sum(axis=1, keepdims=True))
         size = sizes if self.shape == "product" else np.sqrt((sizes**2).sum())
@@ -154,8 +151,9 @@ class WorstCase(NamedTuple):
 
     @property
     def least_force(self) -> float:
-        """Cost of `wrench` [N]: the smallest sum or maximum of the normal forces, to the solver's
-        tolerance; inf if infeasible.
+        """Cost of `wrench` [N] to the solver's tolerance; inf if infeasible.
+
+        It is the smallest sum or maximum of the normal forces.
         """
         return self.lower if self.solution is None else self.solution.objective
 
@@ -228,35 +226,35 @@ def worst_case(
         listed = checked_size(as_array(wrenches, (None, 6), "wrenches"), "wrenches")
         if not len(listed):
             raise InvalidInputError("wrenches must hold at least one wrench")
-        solved = [_solved(optimizer, wrench) for wrench in listed]
-        for wrench, found in zip(listed, solved, strict=True):
-            if found.solution is None:
+        solved = [_solve(optimizer, wrench) for wrench in listed]
+        for wrench, case in zip(listed, solved, strict=True):
+            if case.solution is None:
                 raise NotConvergedError(
                     f"the conic solver found no optimal force for wrench {wrench.tolist()}"
                 )
-        worst = max(solved, key=lambda found: found.upper)
-        return worst._replace(lower=max(found.lower for found in solved))
+        worst = max(solved, key=lambda case: case.upper)
+        return worst._replace(lower=max(case.lower for case in solved))
     ball = wrenches
     if limits is None and not (closure := force_closure(grasp)):
         assert closure.twist is not None
         # infeasible by the twist; the solver may add its own proof
-        found = _solved(optimizer, ball.farthest(closure.twist))
-        return found if found.lower == np.inf else WorstCase(found.wrench, np.inf, np.inf, None)
+        case = _solve(optimizer, ball.farthest(closure.twist))
+        return case if case.lower == np.inf else WorstCase(case.wrench, np.inf, np.inf, None)
     axes = np.concatenate([np.eye(6), -np.eye(6)])
     directions = np.concatenate([axes, rng.standard_normal((starts, 6))]) / ball.radii
-    best = max((_ascended(optimizer, ball, ball.farthest(n)) for n in directions), key=_lower)
+    best = max((_ascend(optimizer, ball, ball.farthest(n)) for n in directions), key=_lower)
     if best.lower == np.inf:
         return best
     if limits is None:
-        return _enclosed(optimizer, ball, best, tolerance, points, rng)
+        return _refine_hull(optimizer, ball, best, tolerance, points, rng)
     return _within_limits(optimizer, ball, best)
 
 
-def _lower(found: WorstCase) -> float:
-    return found.lower
+def _lower(case: WorstCase) -> float:
+    return case.lower
 
 
-def _solved(optimizer: ForceOptimizer, wrench: Wrench) -> WorstCase:
+def _solve(optimizer: ForceOptimizer, wrench: Wrench) -> WorstCase:
     """Return the bounds for one wrench."""
     try:
         solution = optimizer.solve(wrench)
@@ -269,23 +267,23 @@ def _solved(optimizer: ForceOptimizer, wrench: Wrench) -> WorstCase:
     return WorstCase(wrench, solution.lower_bound, solution.objective, solution)
 
 
-def _ascended(optimizer: ForceOptimizer, ball: WrenchBall, wrench: Wrench) -> WorstCase:
-    """Replace w by the wrench of the ball with the largest -n .
+def _ascend(optimizer: ForceOptimizer, ball: WrenchBall, wrench: Wrench) -> WorstCase:
+    """Replace w by the wrench of the ball with the largest -n . w until the bound stops rising.
 
-    w, for the multipliers n at w, until the bound stops rising.
+    n are the multipliers at w.
     """
-    best = _solved(optimizer, wrench)
+    best = _solve(optimizer, wrench)
     for _ in range(50):
         if best.lower == np.inf or best.solution is None or not best.solution.multipliers.any():
             break
-        found = _solved(optimizer, ball.farthest(-best.solution.multipliers))
-        if not found.lower > best.lower * (1.0 + 1e-6):
+        case = _solve(optimizer, ball.farthest(-best.solution.multipliers))
+        if not case.lower > best.lower * (1.0 + 1e-6):
             break
-        best = found
+        best = case
     return best
 
 
-def _enclosed(
+def _refine_hull(
     optimizer: ForceOptimizer,
     ball: WrenchBall,
     best: WorstCase,
@@ -293,8 +291,9 @@ def _enclosed(
     points: int,
     rng: np.random.Generator,
 ) -> WorstCase:
-    """Refine the upper bound by a growing inner hull, for a grasp with force closure; wrenches are
-    scaled to a unit ball.
+    """Refine the upper bound by a growing inner hull, for a grasp with force closure.
+
+    Wrenches are scaled to a unit ball.
     """
     grasp = optimizer.grasp
     criterion = optimizer.options.criterion
@@ -330,7 +329,7 @@ def _enclosed(
         dual_bounds = reach[top] / np.maximum(heights, 1e-300)
         start = ball.farthest(-normals[top[dual_bounds.argmax()]] / ball.radii)
         unsolved = WorstCase(start, float(dual_bounds.max()), np.inf, None)
-        best = max(best, _ascended(optimizer, ball, start), unsolved, key=_lower)
+        best = max(best, _ascend(optimizer, ball, start), unsolved, key=_lower)
         upper = max(1.0 / nearest if nearest > 0.0 else np.inf, best.least_force)
         if upper <= best.lower * (1.0 + tolerance) or len(hull.points) >= points:
             return best._replace(upper=upper)
@@ -344,22 +343,22 @@ def _within_limits(optimizer: ForceOptimizer, ball: WrenchBall, best: WorstCase)
     """Compute the upper bound from the vertices of an outer polytope."""
     upper = best.upper
     for vertex in ball.enclosing():
-        found = _solved(optimizer, vertex)
-        upper = max(upper, found.upper)
+        case = _solve(optimizer, vertex)
+        upper = max(upper, case.upper)
         if upper == np.inf:
-            if found.solution is not None and found.solution.certificate is not None:
+            if case.solution is not None and case.solution.certificate is not None:
                 # the twist that separates the vertex may also separate a wrench of the ball
                 best = max(
-                    best, _solved(optimizer, ball.farthest(found.solution.certificate)), key=_lower
+                    best, _solve(optimizer, ball.farthest(case.solution.certificate)), key=_lower
                 )
             break
     return best._replace(upper=upper)
 
 
 def _largest_wrenches(grasp: Grasp, directions: Array, criterion: str) -> tuple[Array, Array]:
-    """Return h(n) = max n .
+    """Return h(n) (K,) and the maximising wrenches G f (K, 6) for the rows n (K, 6).
 
-    G f over forces of size <= 1, (K,), and the maximising wrenches G f, (K, 6), for n (K, 6).
+    h(n) = max n . G f over the forces of size <= 1.
     """
     models, count = grasp.models, grasp.n_contacts
     work = (directions @ grasp.matrix).reshape(-1, count, 3)

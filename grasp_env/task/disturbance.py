@@ -1,5 +1,4 @@
-"""Disturbances of the object over an episode: external wrenches and tilting gravity, one row per
-control tick.
+"""Disturbances over an episode: wrenches and tilting gravity, a row per control tick.
 
 A disturbance is called as f(times, rng, settings); it is a record of `DISTURBANCES` or a user's
 function.
@@ -54,8 +53,7 @@ Disturbance: TypeAlias = "Callable[[Array, np.random.Generator, Any], ArrayLike 
 
 times: (T,) times of the control ticks [s]; rng: the episode's own generator; settings: the
 environment's `EnvConfig`. If the order of draws from rng does not depend on T, a seed gives the
-same disturbance in a longer episode.
-"""
+same disturbance in a longer episode."""
 
 
 def name_of(disturbance: Disturbance | None) -> str:
@@ -71,18 +69,19 @@ def name_of(disturbance: Disturbance | None) -> str:
 def disturb(
     rule: Disturbance, times: Array, rng: np.random.Generator, settings: Any
 ) -> tuple[Array, Array]:
-    """Return the external wrench (T, 6) [N, N m], object frame, and the gravity (T, 3) [m/s^2],
-    world frame, of a disturbance.
+    """Return the wrench (T, 6) [N, N m] and gravity (T, 3) [m/s^2] of a disturbance.
+
+    The wrench is in the object frame, gravity in the world frame.
     """
     what = f"the disturbance {name_of(rule) or shown(rule)}"
     rows = len(times)
     takes = "a disturbance takes (times, rng, settings) and returns (T, 6) wrenches [N, N m], a row per tick"
-    made = call_user(rule, times.copy(), rng, settings, what=what, takes=takes)
-    if made is None:
+    result = call_user(rule, times.copy(), rng, settings, what=what, takes=takes)
+    if result is None:
         raise InvalidInputError(
             f"what {what} returns must be (T, 6) wrenches [N, N m] or a Disturbed, got None: does it end in a return?"
         )
-    acts = made if isinstance(made, Disturbed) else Disturbed(made)
+    acts = result if isinstance(result, Disturbed) else Disturbed(result)
     wrench = np.zeros((rows, 6))
     gravity = np.tile(settings.gravity, (rows, 1))
     if acts.wrench is not None:
@@ -104,8 +103,7 @@ def disturb(
 
 @dataclass(frozen=True)
 class DisturbanceSettings(Settings):
-    """Base class of the built-in disturbances: records of their settings that are called like a
-    user's function.
+    """Base class of the built-in disturbances: records that are called like a user's function.
 
     Example:
         >>> from grasp_env.config import EnvConfig
@@ -166,9 +164,7 @@ class PaperPath(DisturbanceSettings):
 
 @dataclass(frozen=True)
 class RandomWrench(DisturbanceSettings):
-    """An Ornstein-Uhlenbeck process per axis; it starts at zero, as the hand settled without a
-    wrench.
-    """
+    """An Ornstein-Uhlenbeck process per axis; it starts at zero, as the hand has settled."""
 
     name: ClassVar[str] = "random"
 
@@ -235,13 +231,13 @@ class Impulses(DisturbanceSettings):
             peaks.append(direction.reshape(_BLOCK, 6))
             reached += float(steps[-1].sum())
         starts = np.cumsum(np.concatenate(steps))
-        given = np.concatenate(peaks) * (2.0 * length / np.pi)
-        before = np.cumsum(given, axis=0) - given
+        impulses = np.concatenate(peaks) * (2.0 * length / np.pi)
+        before = np.cumsum(impulses, axis=0) - impulses
         edges = np.arange(len(times) + 1) * tick
         last = np.searchsorted(starts, edges, side="right") - 1
-        part = 0.5 - 0.5 * np.cos(np.pi * np.clip((edges - starts[last]) / length, 0.0, 1.0))
+        share = 0.5 - 0.5 * np.cos(np.pi * np.clip((edges - starts[last]) / length, 0.0, 1.0))
         return np.ascontiguousarray(
-            np.diff(before[last] + part[:, None] * given[last], axis=0) / tick
+            np.diff(before[last] + share[:, None] * impulses[last], axis=0) / tick
         )
 
 
@@ -277,8 +273,8 @@ class TiltingGravity(DisturbanceSettings):
 
 
 DISTURBANCES: dict[str, type[DisturbanceSettings]] = {
-    made.name: made
-    for made in (NoDisturbance, ConstantWrench, PaperPath, RandomWrench, Impulses, TiltingGravity)
+    kind.name: kind
+    for kind in (NoDisturbance, ConstantWrench, PaperPath, RandomWrench, Impulses, TiltingGravity)
 }
 """The built-in disturbances, by name."""
 DISTURBANCE = any_of(

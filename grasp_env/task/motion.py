@@ -14,8 +14,7 @@ MOTIONS: dict[str, str] = {
 """The motions by name, with descriptions.
 
 During a rotation about z, the thumb at -z turns on the spot and the fingers at +z stay on their
-face: the built-in four-finger hand reaches beyond 90 degrees about z, 61 about y and 24 about x.
-"""
+face: the built-in four-finger hand reaches beyond 90 degrees about z, 61 about y and 24 about x."""
 
 MOTION_SIZES: dict[str, float] = {"lift": 0.015, "shake": 0.015, "rotate": 0.3}
 """Default sizes [m], [m], [rad]."""
@@ -30,8 +29,7 @@ LINEAR_ACCELERATION, ANGULAR_ACCELERATION = slice(13, 16), slice(16, 19)
 
 
 def blend(phase: Array) -> Array:
-    """Return the minimum-jerk step from 0 (phase <= 0) to 1 (phase >= 1) and its first two
-    derivatives by phase, (3, T).
+    """Return the minimum-jerk step from phase 0 to 1 and its first two derivatives, (3, T).
 
     Example:
         >>> blend(np.array([-1.0, 0.5, 2.0]))[0]
@@ -57,8 +55,9 @@ def resting_target(ticks: int) -> Array:
 
 
 def motion_target(motion: str, times: Array, size: float, period: float) -> Array:
-    """Return the object's desired motion: one of `MOTIONS` at times (T,) [s] from 0 on, of a size
-    [m or rad] and a period [s].
+    """Return the object's motion, one of `MOTIONS`, at times (T,) [s] from 0 on.
+
+    `size` is in [m or rad], `period` in [s].
 
     As many whole periods as fit before `times[-1]` are done, then the object rests; if not even one
     fits, it is cut short. A shake reaches its full size if three or more periods fit.
@@ -86,15 +85,13 @@ def motion_target(motion: str, times: Array, size: float, period: float) -> Arra
         target[:, ANGULAR.start + 2], target[:, ANGULAR_ACCELERATION.start + 2] = path[1], path[2]
     else:
         axis = 0 if motion == "shake" else 1
-        for part, values in zip((POSITION, LINEAR, LINEAR_ACCELERATION), path, strict=True):
-            target[:, part.start + axis] = values
+        for columns, values in zip((POSITION, LINEAR, LINEAR_ACCELERATION), path, strict=True):
+            target[:, columns.start + axis] = values
     return target
 
 
 def _there_and_back(times: Array, period: float, repeats: float) -> Array:
-    """Return 0 to 1 in a third of each period, held, and back in the last third, with two
-    derivatives by time: (3, T).
-    """
+    """Return 0 to 1 in a third of each period, held, and back, with derivatives: (3, T)."""
     phase = times / period
     phase = 3.0 * np.where(phase < repeats, phase - np.floor(phase), 0.0)
     rate = 3.0 / period

@@ -52,14 +52,16 @@ class Task(Settings):
     """A short description for pictures, with settings in braces."""
 
     def push(self, times: Array, tick: float, mass: float) -> Array:
-        """Return the force (T, 3) [N] at the centre of an object of `mass` [kg], world frame, at
-        `times` (T,) [s], `tick` [s] apart.
+        """Return the force (T, 3) [N] at the object's centre, world frame, at `times` (T,) [s].
+
+        The object has a `mass` [kg]; times are a `tick` [s] apart.
         """
         return np.zeros((len(times), 3))
 
     def target(self, times: Array, tick: float) -> Array:
-        """Return the desired motion (T, 19) of the object, see `grasp_env.task.motion`; times and
-        tick as in `push`.
+        """Return the motion (T, 19) of the object, see `grasp_env.task.motion`.
+
+        `times` and `tick` are as in `push`.
         """
         return resting_target(len(times))
 
@@ -68,9 +70,7 @@ class Task(Settings):
         return np.ones(len(times))
 
     def in_place(self, drift: float, tilt: float) -> bool:
-        """Return True if `drift` [m] from the wanted position and `tilt` [rad] from the wanted
-        orientation are small enough for success.
-        """
+        """True if `drift` [m] and `tilt` [rad] from the target are small enough for success."""
         return bool(drift < self.drift_limit) and bool(tilt < self.tilt_limit)
 
 
@@ -123,8 +123,7 @@ class Payload(Task):
 
 @dataclass(frozen=True)
 class SixDirections(Task):
-    """Hold against pushes along +x, -x, +y, -y, +z, -z in one episode; success is to stay within 50
-    mm and 15 degrees.
+    """Hold against pushes along +x, -x, +y, -y, +z, -z, within 50 mm and 15 degrees.
 
     DexGraspBench applies the same pushes, with a new grasp for each.
     """
@@ -160,7 +159,7 @@ class SixDirections(Task):
         return (1.0 - share) * pushes[index] + share * pushes[index + 1]
 
 
-TASKS: dict[str, type[Task]] = {made.name: made for made in (Hold, Move, Payload, SixDirections)}
+TASKS: dict[str, type[Task]] = {task.name: task for task in (Hold, Move, Payload, SixDirections)}
 """The tasks, by name."""
 TASK = any_of(TASKS, Task, ", or give its settings, such as Move(motion='lift')")
 """Kind of a setting that holds a task."""

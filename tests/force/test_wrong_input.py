@@ -169,7 +169,7 @@ def call(name: str = "solve", **given: Any) -> Callable[[], Any]:
                 ),
                 ({"normals": 2.0 * GRASP.normals}, "normal"),
                 ({"friction": -0.1}, "friction"),
-                ({"jacobian": np.zeros((4, 3, 4))}, "jacobian must be that of 5 joints"),
+                ({"jacobian": np.zeros((4, 3, 4))}, "jacobian must have 5 joints"),
             )
         ),
         (call(contacts=[1, 1, 1, 2]), r"contacts must be \(4,\) of true and false"),

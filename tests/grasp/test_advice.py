@@ -163,7 +163,7 @@ def test_some_normals_are_only_blamed_if_turning_them_round_helps() -> None:
         points /= np.linalg.norm(points, axis=1)[:, None]
         away = np.where(rng.random(count) < 0.4, 1.0, -1.0)[:, None]
         grasp = Grasp.from_contacts(0.05 * points, away * points, 0.5)
-        found = any("with these normals turned round they could" in text for text in advise(grasp))
+        found = any("with these normals reversed they could" in text for text in advise(grasp))
         if found:
             assert not force_closure(grasp)
             assert force_closure(Grasp.from_contacts(0.05 * points, -points, 0.5))

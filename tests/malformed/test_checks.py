@@ -36,7 +36,7 @@ PAPER = np.array([1.0, 0.5, -0.6, -0.1, 0.2, 0.0])
         (["1", "2"], "they are of type <U1"),
         (np.array([True, False]), "they are of type bool"),
         ([1j, 2.0], "they are of type complex128"),
-        (np.ma.masked_array([1.0, 2.0], [True, False]), "masked entries are no numbers"),
+        (np.ma.masked_array([1.0, 2.0], [True, False]), "masked entries are not numbers"),
         ([None, 1.0], "not all of them are"),
         ({"a": 1.0}, "not all of them are"),
         (["3", 10**30], "not all of them are|they are of type <U"),

@@ -23,7 +23,7 @@ from grasp_env.quality import (
     singular_values,
     worst_case,
 )
-from grasp_env.quality.worst_wrench import _solved
+from grasp_env.quality.worst_wrench import _solve
 
 UNEVEN = closure_grasps(3)[1]
 CUBOID = presets.paper_cuboid()
@@ -174,8 +174,8 @@ def test_the_bound_within_limits_holds_where_the_ascent_fails(
     """Without an ascent the lower bound is that of an axis; the upper bound comes from the
     polytope, and has to hold all the same."""
     monkeypatch.setattr(
-        "grasp_env.quality.worst_wrench._ascended",
-        lambda optimizer, ball, load: _solved(optimizer, load),
+        "grasp_env.quality.worst_wrench._ascend",
+        lambda optimizer, ball, load: _solve(optimizer, load),
     )
     ball = WrenchBall(1.0, moment)
     limits = ForceLimits(max_normal=1e4)
