@@ -22,8 +22,8 @@ from grasp_env.inputs.arguments import Array, ContactForces, Wrench, as_wrench, 
 class OfflineBasis:
     """The 12-basis of a grasp: argmin Phi for +-e_1..+-e_6 and for w = 0 (paper, Sec. III).
 
-    The unit wrenches are 1 N or 1 N m; +e_1..+e_6 come first. It exists for every grasp with force closure. Its forces are balanced for that grasp only; if
-    contacts move, use `moved_to`.
+    The unit wrenches are 1 N or 1 N m; +e_1..+e_6 come first. It exists for every grasp with force
+    closure. Its forces are balanced for that grasp only; if contacts move, use `moved_to`.
 
     Attributes:
         cone_divisor: (N, 3) `grasp.models.cone_divisor`. The grasp itself is not stored, so a
@@ -114,9 +114,9 @@ class OfflineBasis:
     def combine(self, wrench: Wrench, printed: bool = False) -> ContactForces:
         """Return the non-negative combination sum E_k f_k (N, 3) [N] with w = sum E_k (+-e_k).
 
-        These are Eqs. 33 and 34. The printed combination is zero for a zero `wrench`, where P is singular. Unless `printed`,
-        max(0, 1 - sum E_k) times `rest` is added. The result is balanced by linearity and strictly
-        inside the cones by convexity.
+        These are Eqs. 33 and 34. The printed combination is zero for a zero `wrench`, where P is
+        singular. Unless `printed`, max(0, 1 - sum E_k) times `rest` is added. The result is
+        balanced by linearity and strictly inside the cones by convexity.
         """
         x = np.empty(self.cone_forces.shape[1])
         core.combine(self.cone_forces, as_wrench(wrench), flag(printed, "printed"), x)

@@ -20,9 +20,9 @@ Weight = float | Sequence[float]
 class Objective:
     """The paper's objective, Eqs. 10 and 27-31, with W_p = omega I and W_i = lambda I.
 
-    The weights may also be omega_i I, lambda_i I per contact. Per contact, in cone coordinates (u, o, t) and with s^2 = o^2 + t^2:
-    3 omega u + lambda (1/u + 2u/(u^2 - s^2)). (The second trace is of W_i P^-1; Eqs. 10, 27 and 29
-    print W_p.)
+    The weights may also be omega_i I, lambda_i I per contact. Per contact, in cone coordinates (u,
+    o, t) and with s^2 = o^2 + t^2: 3 omega u + lambda (1/u + 2u/(u^2 - s^2)). (The second trace is
+    of W_i P^-1; Eqs. 10, 27 and 29 print W_p.)
 
     Attributes:
         force_weight: omega, the weight of the forces, 1e-4 to 1e4; a scalar, or one value per

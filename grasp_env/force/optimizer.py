@@ -452,7 +452,8 @@ class ForceOptimizer:
     ) -> None:
         """Replace arguments of the constructor; those left out stay.
 
-        `solve` documents positions, normals, friction, jacobian and torque_bias. The 12-basis is computed again if the start needs it.
+        `solve` documents positions, normals, friction, jacobian and torque_bias. The 12-basis is
+        computed again if the start needs it.
 
         Raises:
             InvalidInputError, RankDeficientGraspError: see `solve`; the optimizer is unchanged.

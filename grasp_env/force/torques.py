@@ -65,7 +65,8 @@ def checked_jacobian(
 ) -> Array:
     """Return a Jacobian as (N, 3, J) or (N, 6, J), also from (3N, J).
 
-    It must have `count` contacts (None: any). Rows of contacts that a mask `used` (N,) leaves out may hold any numbers.
+    It must have `count` contacts (None: any). Rows of contacts that a mask `used` (N,) leaves out
+    may hold any numbers.
     """
     jac = as_array(jacobian, None, "jacobian", finite=False)
     shape = jac.shape

@@ -173,8 +173,9 @@ class Grasp:
     ) -> Grasp:
         """Make the same grasp as `from_contacts`, to the last bit, from trusted arguments.
 
-        `positions`, `normals` and `tangents` are (N, 3). Not checked are the number of contacts, the models, tangents that are nearly along a normal,
-        and torsional friction against the grasp's length.
+        `positions`, `normals` and `tangents` are (N, 3). Not checked are the number of contacts,
+        the models, tangents that are nearly along a normal, and torsional friction against the
+        grasp's length.
 
         Raises:
             InvalidInputError: see `from_contacts`; arrays of another type than float64.
@@ -385,7 +386,9 @@ class Grasp:
         return float(np.abs(self.unit_frame @ error).max())
 
     def to_object_frame(self, force: ContactForces) -> Array:
-        """Return object-frame vectors (N, 3) [N] of `force` (N, 3) (normal, o, t) in contact frames."""
+        """Return object-frame vectors (N, 3) [N] of `force` (N, 3) (normal, o, t) in contact
+        frames.
+        """
         return np.einsum("nij,nj->ni", self.frames, self._rows(force, "force"))
 
     def to_contact_frame(self, vectors: Array) -> ContactForces:

@@ -3,8 +3,8 @@
 A problem with wrong units, signs or frames is solved without complaint.
 
 Rules that can be near certain take a few microseconds while they find nothing, because every
-`optimize_force` calls them. They read `Grasp.contacts`, which is faster than the attributes of a new
-grasp.
+`optimize_force` calls them. They read `Grasp.contacts`, which is faster than the attributes of a
+new grasp.
 """
 
 from __future__ import annotations

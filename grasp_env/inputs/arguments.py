@@ -49,7 +49,8 @@ def as_array(
     """Return `value` as a finite, contiguous, aligned float64 array of `shape` (None: any).
 
     The array is new, and its numbers lie in the range `within`. `finite=False` accepts infinities
-    and nan; `copy=False` returns an array that needs no conversion as it is. Rows that a mask `used` (N,) leaves out may hold any numbers.
+    and nan; `copy=False` returns an array that needs no conversion as it is. Rows that a mask
+    `used` (N,) leaves out may hold any numbers.
     """
     if type(value) is np.ndarray and value.dtype is _FLOAT:
         array = (

@@ -1,4 +1,4 @@
-"""The plain driver of both flows (paper, Eqs.
+"""The plain driver of both flows (Eqs.
 
 12 and 26): direction, step rule, stop. The core's is `flow.hpp`.
 """

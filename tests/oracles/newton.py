@@ -129,9 +129,9 @@ def twelve_basis(matrix: np.ndarray, weights: np.ndarray, rest: np.ndarray) -> n
 
 
 def combine(basis: np.ndarray, wrench: np.ndarray, printed: bool = False) -> np.ndarray:
-    """sum_k E_k f_k + max(0, 1 - sum_k E_k) f_rest with E_k = max(0, +-w_k) (Eqs.
+    """sum_k E_k f_k + max(0, 1 - sum_k E_k) f_rest with E_k = max(0, +-w_k): Eqs. 33, 34.
 
-    33, 34); `printed`: without the rest.
+    `printed`: without the rest.
     """
     parts = np.concatenate([np.maximum(0.0, wrench), np.maximum(0.0, -wrench)])
     rest = 0.0 if printed else max(0.0, 1.0 - float(parts.sum()))

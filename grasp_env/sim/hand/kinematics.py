@@ -359,7 +359,7 @@ def motor_force_basis(jacobian: Array) -> Array:
 
 
 def _ranges(hand: HandDescription) -> tuple[Array, Array]:
-        """Return lower and upper joint limits (M,), narrowed so that coupled joints stay within theirs."""
+    """Return lower and upper joint limits (M,), narrowed so that coupled joints stay within theirs."""
     lower, upper = (
         np.array([getattr(link, side) for link in hand.links]) for side in ("lower", "upper")
     )

@@ -29,9 +29,9 @@ Its preprocessing is off, as it adds a shell of a hundredth of the mesh's size.
 
 
 def convex_pieces(corners: Array, faces: Any, name: str) -> list[Array]:
-    """Cut a mesh into convex pieces with corners (K, 3): by CoACD (Wei et al.
+    """Cut a mesh into convex pieces with corners (K, 3); a convex mesh is one piece.
 
-    2022), or by V-HACD if that fails; one if it is convex.
+    CoACD (Wei et al. 2022) cuts it, or V-HACD if that fails.
 
     The pieces contain all corners of the mesh, except for what `MAX_CORNERS` leaves out. In hollows
     they protrude from the mesh by a few hundredths of its size.
