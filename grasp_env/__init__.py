@@ -26,10 +26,8 @@ def _register() -> bool:
 class _Watch:
     """Import hook that registers the environment once Gymnasium is imported.
 
-    It then removes itself. It finds no module.
-
-    Gymnasium has had no plugins since 1.0. Importing it here would take 30 to 100 ms, also for
-    users of the solver alone.
+    It then removes itself. It finds no module. Gymnasium has had no plugins since 1.0. Importing it
+    here would take 30 to 100 ms, also for users of the solver alone.
     """
 
     def __init__(self) -> None:

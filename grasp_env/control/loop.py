@@ -176,9 +176,8 @@ class ForceLoop:
         if self._core.code not in RESULTS:
             return None
         row = self._row.copy()
-        rule = self._start
-        if rule is not None:
-            rule.mark(row)
+        if self._start is not None:
+            self._start.mark(row)
         return ForceSolution(row, self.optimizer.names)
 
     @property

@@ -164,7 +164,7 @@ def test_sdf_is_named(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("path", ["", "\0", None])
 def test_what_is_no_path(path: Any) -> None:
-    with pytest.raises(OSError, match=r"no path|No such file"):
+    with pytest.raises(OSError, match=r"not a path|No such file"):
         read_bytes(path)
     for reader in ("grasp", "urdf"):
         with pytest.raises(GraspError):
