@@ -150,7 +150,10 @@ def test_methods_take_the_steps_of_the_plain_flow(name: str, method: str) -> Non
 
 
 def test_printed_indices_for_four_fingers() -> None:
-    """Eqs. 19 to 21 word for word; floor(a, b) there is the largest integer not greater than a / b."""
+    """Eqs.
+
+    19 to 21 word for word; floor(a, b) there is the largest integer not greater than a / b.
+    """
     m = [
         39 * floor((i - 1) / 3) + 2 ** (2 ** (i - 3 * floor((i - 1) / 3) - 1)) - 1
         for i in range(1, 13)

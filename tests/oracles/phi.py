@@ -92,7 +92,9 @@ def curvature(x: np.ndarray, lam: float) -> tuple[np.ndarray, np.ndarray, np.flo
 
 
 def least_of_lagrangian(y: np.ndarray, omega: float, lam: float) -> tuple[float, float]:
-    """(least over a cone of phi(x) - y . x, its ratio r = (u - s)/(u + s)); (-inf, nan) if there is none.
+    """(least over a cone of phi(x) - y .
+
+    x, its ratio r = (u - s)/(u + s)); (-inf, nan) if there is none.
 
     With a = 3 omega - y_u, b = |(y_o, y_t)|, x = (u, s along y): the least over u at fixed r is
     2 sqrt(lambda c1 c2), c1 = ((a - b) + (a + b) r)/2, c2 = 1 + 1/r + 2/(1 + r), and over r it is

@@ -17,7 +17,9 @@ METRIC = np.array([3.0, 2.0, 2.0])
 
 
 def picked_rows(count: int) -> NDArray[np.int_]:
-    """Eq. 19, zero-based, for N = `count` contacts: the rows of Q that move u, o and t of each contact.
+    """Eq.
+
+    19, zero-based, for N = `count` contacts: the rows of Q that move u, o and t of each contact.
 
     Printed for four contacts as m = 39 floor((i-1)/3) + 2^(2^(i - 3 floor((i-1)/3) - 1)) - 1,
     one-based; 39 is 9N + 3. Rows 1, 3 and 15 = 12 + 3 of a block are its entries (1, 1), (3, 1) and
@@ -29,7 +31,9 @@ def picked_rows(count: int) -> NDArray[np.int_]:
 
 
 def picked_columns(count: int) -> NDArray[np.int_]:
-    """Eq. 21, zero-based: the columns n, n + 1, n + 2 of Q that meet the 3 x 3 blocks of VWP, (9N,).
+    """Eq.
+
+    21, zero-based: the columns n, n + 1, n + 2 of Q that meet the 3 x 3 blocks of VWP, (9N,).
 
     Printed for four contacts as n = 39 floor((j-1)/3) + 12 (j - 3 floor((j-1)/3) - 1) + 1,
     one-based.

@@ -18,7 +18,9 @@ SOLID = '<sphere radius="0.01"/>'
 
 
 def chain(name: str, parent: str, count: int, shape: str = MESH, step: float = 0.2) -> str:
-    """Return a chain of links `name`1, ... on the joints `name`_1, ... with missing meshes; the last has no shape.
+    """Return a chain of links `name`1, ...
+
+    on the joints `name`_1, ... with missing meshes; the last has no shape.
     """
     text = ""
     for number in range(1, count + 1):
