@@ -11,7 +11,7 @@ template <class V, int B> class LimitedNewton {
   NewtonSolver<V, B, LimitTerms<V, B>> newton;
   bool elastic = false;  // if no force keeps the limits, find the one that exceeds them least
   double proof_scale =
-      0.0;  // factor that scales the prices in `newton.rows` of a proof to its twist
+      0.0;  // factor that scales the multipliers in `newton.rows` of a proof to its twist
 
   explicit LimitedNewton(int count)
       : newton(count), begun_(newton.cones.field()), least_(newton.cones) {}
