@@ -34,7 +34,6 @@ IN_PYTHON = {
     "Summary.residual": "equilibrium_residual",
     "Summary.margin": "cone_margin",
     "Summary.replaced": "start_replaced",
-    "Record.prices": "limit_multipliers",
 }
 """Names that differ in Python."""
 CPP_ALONE = {
@@ -67,7 +66,7 @@ def names() -> tuple[str, ...]:
         ):
             public = body.partition("public:")[2] if kind == "class" else body
             for line in public.partition("private:")[0].splitlines():
-                if re.match(r" {4}\w", line):  # not what stands inside of a function
+                if re.match(r" {2}\w", line):  # not what stands inside of a function
                     found.update(f"{name}.{member}" for member in members(line) if member != name)
     return tuple(sorted(found))
 
