@@ -358,11 +358,15 @@ template <int W> class SmoothLanes {
     return select((room > 0.0) & (total == total), total, V(infinity));
   }
   V energy() const {
-    return energy_at([&](int i, V& turn) { return turn = v_[i], x_[i]; });
+    return energy_at([&](int i, V& turn) {
+      turn = v_[i];
+      return x_[i];
+    });
   }
   V energy_along(const V& alpha) const {
     return energy_at([&](int i, V& turn) {
-      return turn = v_[i] + alpha * step_v_[i], x_[i] + alpha * step_[i];
+      turn = v_[i] + alpha * step_v_[i];
+      return x_[i] + alpha * step_[i];
     });
   }
   Six<V> missed() const {  // A z + w
