@@ -217,9 +217,9 @@ class ForceLoop:
         """Return the true state of the hold; see `core.Controller.outcome`."""
         return self._core.outcome(target, error, measured)
 
-    def told(self, outcome: core.Outcome, measured: Array) -> dict[str, Any]:
-        """Return the entries of `info` that the core computes, by name; see `core.Controller.told`."""
-        return self._core.told(outcome, measured)
+    def step_info(self, outcome: core.Outcome, measured: Array) -> dict[str, Any]:
+        """The entries of `info` that the core computes; see `core.Controller.step_info`."""
+        return self._core.step_info(outcome, measured)
 
     def tick(
         self,

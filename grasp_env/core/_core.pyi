@@ -1109,7 +1109,7 @@ class Controller:
         (N, 3) in the commanded contact frames [N].
         """
 
-    def told(self, outcome: Outcome, measured: object) -> dict[str, object]:
+    def step_info(self, outcome: Outcome, measured: object) -> dict[str, object]:
         """
         Return the report of a step by name: the method's solution, contacts, forces [N], effort, and an outcome with its
         measured forces (N, 3). The arrays are copies.

@@ -585,14 +585,16 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
 
     def _info(self, scene: Scene, terms: dict[str, float]) -> dict[str, Any]:
         outcome, failure = self._outcome, self._failure
-        told = self._loop.told(outcome, self._observer.measured)
+        step_info = self._loop.step_info(outcome, self._observer.measured)
         if failure == "simulation_diverged":  # the last reading, without forces
-            told |= {name: np.zeros_like(told[name]) for name in ("measured_force", "touching")}
-            told |= dict.fromkeys(("force_error", "stray_force", "slip"), 0.0)
+            step_info |= {
+                name: np.zeros_like(step_info[name]) for name in ("measured_force", "touching")
+            }
+            step_info |= dict.fromkeys(("force_error", "stray_force", "slip"), 0.0)
         fault = failure or self._fault()
         info = {
             "status": self._loop.status or ("failed" if failure else "none"),
-            **told,
+            **step_info,
             "time": self._tick * self._loop.dt,
             "object_mass": scene.config.object.mass,
             **self._object_info,

@@ -43,10 +43,10 @@ def compiled() -> list[str | Path]:
 
 
 def tool(name: str) -> str:
-    found = shutil.which(name)
-    if found is None:
+    path = shutil.which(name)
+    if path is None:
         pytest.skip(f"{name} is not here")
-    return found
+    return path
 
 
 def run(*command: str | Path, **options: object) -> subprocess.CompletedProcess[Any]:
@@ -105,8 +105,8 @@ def joined() -> str:
 def build(folder: Path, *flags: str | Path, compiler: str = "g++") -> Path:
     """Compile all programs; returns a folder with each by its name."""
     source = folder / "programs.cpp"
-    made = folder / "programs"
-    made.mkdir()
+    programs = folder / "programs"
+    programs.mkdir()
     source.write_text(joined())
     every = [
         *FLAGS,
@@ -116,10 +116,10 @@ def build(folder: Path, *flags: str | Path, compiler: str = "g++") -> Path:
         f"-I{CORE / 'include'}",
         "-pthread",
     ]
-    succeed(tool(compiler), *every, source, *flags, "-o", made / "all")
+    succeed(tool(compiler), *every, source, *flags, "-o", programs / "all")
     for path in SOURCES:
-        (made / path.stem).symlink_to("all")
-    return made
+        (programs / path.stem).symlink_to("all")
+    return programs
 
 
 def spoiled(blob: bytes) -> list[bytes]:

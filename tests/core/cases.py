@@ -101,13 +101,13 @@ class Case:
         for name, sign in (("min_normal", -1.0), ("max_normal", 1.0)):
             for i, value in enumerate(self.limits.get(name, ())):
                 if 0.0 < value < np.inf:
-                    rows.append(sign * each[i]), bound.append(sign * value), limited.append(value)
+                    rows.append(sign * each[i])
+                    bound.append(sign * value)
+                    limited.append(value)
         for j, value in enumerate(self.limits.get("torque_limit", ())):
             for sign in (1.0, -1.0) if value < np.inf else ():
-                (
-                    rows.append(sign * self.jacobian[:, :, j]),
-                    bound.append(value - sign * self.limits["torque_bias"][j]),
-                )
+                rows.append(sign * self.jacobian[:, :, j])
+                bound.append(value - sign * self.limits["torque_bias"][j])
                 limited.append(value)
         divisor = np.column_stack([self.contacts.divisor, self.torsion_divisor])
         return (
@@ -122,8 +122,8 @@ class Case:
         no force changes."""
         rows = self.given_rows[0]
         with_slack = np.concatenate([rows[..., :1] + rows[..., 3:], rows[..., 1:]], axis=2)
-        found = np.sqrt((with_slack**2).sum(axis=(1, 2)))
-        return np.where(found > 0.0, found, 1.0)
+        length = np.sqrt((with_slack**2).sum(axis=(1, 2)))
+        return np.where(length > 0.0, length, 1.0)
 
     @cached_property
     def balance(self) -> np.ndarray:
@@ -206,8 +206,8 @@ class Case:
             "torque_bias", np.zeros(0)
         )
 
-    def torques_and_prices(self, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Joint torques (J,) and prices of the limits (M,) in a record."""
+    def torques_and_multipliers(self, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Joint torques (J,) and multipliers of the limits (M,) in a record."""
         rest = row[FIELDS["force"] + 16 * self.count :]
         return np.split(rest, [self.jacobian.shape[2]])[0], np.split(
             rest, [self.jacobian.shape[2]]

@@ -62,11 +62,11 @@ def model(placed: bool = True, **given: float) -> _core.Model:
         _core.Network.make([a, b], 0.1 * rng.standard_normal((a + 1) * b))
         for a, b in ((_core.PLAIN_FEATURES + 2, 6), (6, 4))
     )
-    made = _core.Model.make(network, pairs)
-    made.normalise(**(NORMALISATION | given))
+    learned = _core.Model.make(network, pairs)
+    learned.normalise(**(NORMALISATION | given))
     if placed:
-        made.place(INTERNAL, 0.5, 1.0, 20.0)
-    return made
+        learned.place(INTERNAL, 0.5, 1.0, 20.0)
+    return learned
 
 
 @dataclass(frozen=True)
@@ -88,10 +88,10 @@ class Call:
         return self.given | {name: self.given[name].copy() for name in self.arrays} | filled
 
 
-def solve(made: _core.ForceOptimizer, wrench: Any, **changes: Any) -> object:
+def solve(optimizer: _core.ForceOptimizer, wrench: Any, **changes: Any) -> object:
     """False where arrays cannot be read, else the code."""
-    found: Any = made.solve(wrench, Changes(contacts=None, **changes), None)
-    return False if found is NotImplemented else found.code
+    record: Any = optimizer.solve(wrench, Changes(contacts=None, **changes), None)
+    return False if record is NotImplemented else record.code
 
 
 def calls() -> dict[str, Call]:
@@ -188,13 +188,13 @@ BAD = (np.nan, np.inf, -np.inf, 1e300, -1e300)
 def test_a_row_that_is_refused_leaves_the_others(name: str) -> None:
     call = CALLS[name]
     key = "rows" if name == "solve_many" else "records"
-    wanted = call.arguments()
-    call.run(**wanted)
+    expected = call.arguments()
+    call.run(**expected)
     for bad in BAD:
         arguments = call.arguments()
         arguments["wrenches"][1] = bad
         call.run(**arguments)
-        np.testing.assert_array_equal(arguments[key][[0, 2]], wanted[key][[0, 2]])
+        np.testing.assert_array_equal(arguments[key][[0, 2]], expected[key][[0, 2]])
         assert arguments[key][1, 0] == REFUSED
 
 
@@ -239,9 +239,9 @@ def test_wrong_contacts_and_models_are_refused(name: str) -> None:
 
 
 def test_a_model_covers_wrenches_up_to_those_of_its_training() -> None:
-    made = model()
+    learned = model()
     for load in 10.0 * LOADS:
-        assert made.covers(load) == (np.linalg.norm(load) <= 20.0)
-        assert not made.covers(load * np.nan)
-    made.place(INTERNAL, 0.5, 1.0, -1.0)  # contacts that it does not know
-    assert not made.covers(np.zeros(6))
+        assert learned.covers(load) == (np.linalg.norm(load) <= 20.0)
+        assert not learned.covers(load * np.nan)
+    learned.place(INTERNAL, 0.5, 1.0, -1.0)  # contacts that it does not know
+    assert not learned.covers(np.zeros(6))

@@ -58,20 +58,20 @@ def test_a_learned_start_is_the_networks_force_or_a_better_one(count: int, size:
     """For any weights it is balanced, inside and no worse than the method's own start, and Newton
     from it ends certified."""
     c = case(count, "hard")
-    told = set()
+    kept_values = set()
     outside = set()
     s = c.contacts
     for seed in range(2):
         shape, weights, trained = model(s, seed, size)
-        made = c.solver(tolerance=1e-8, start=START["learned"], model=trained)
+        solver = c.solver(tolerance=1e-8, start=START["learned"], model=trained)
         previous = None
         for scale in (1e-6, 1.0, 30.0, 1e4):
             load = wrenches(np.random.default_rng(seed), 1, scale)[0]
             w = s.unit @ load
-            safe = c.z(made.start(load, START["internal_force"]), "initial")
+            safe = c.z(solver.start(load, START["internal_force"]), "initial")
             for before in (None, previous):
-                row = made.start(load, previous=before)
-                (solved, _) = made.solve(load, previous=before)
+                row = solver.start(load, previous=before)
+                (solved, _) = solver.solve(load, previous=before)
                 for start in (c.z(row, "initial"), c.z(solved, "initial")):
                     assert phi(start, s.weights) <= phi(safe, s.weights) * (1.0 + 1e-12)
                     left = np.abs(s.rows @ start + w).max()
@@ -100,11 +100,11 @@ def test_a_learned_start_is_the_networks_force_or_a_better_one(count: int, size:
                     assert 0.0 <= share <= 1.0
                     kept = share > 0.0
                     assert at(row, "replaced") == (not kept)
-                    told.add(kept)
+                    kept_values.add(kept)
                     best = min(phi(force, s.weights), phi(safe, s.weights))
                     assert at(row, "objective") <= best * (1 + 1e-12)
             previous = solved
-    assert size >= 1.0 or True in told
+    assert size >= 1.0 or True in kept_values
     assert outside == {0.0, 1.0}
 
 
@@ -115,12 +115,12 @@ def test_a_good_previous_solution_is_taken_before_a_prediction() -> None:
     """
     c = case(4, "hard")
     load = wrenches(np.random.default_rng(5), 1)[0]
-    made = c.solver(tolerance=1e-4, start=START["learned"], model=model(c.contacts, 1, 3.0)[2])
+    solver = c.solver(tolerance=1e-4, start=START["learned"], model=model(c.contacts, 1, 3.0)[2])
     before, _ = c.solver(tolerance=1e-10).solve(1.0001 * load)
-    row, _ = made.solve(load, previous=before)
+    row, _ = solver.solve(load, previous=before)
     assert (at(row, "code"), at(row, "iterations"), at(row, "replaced")) == (CONVERGED, 0.0, 0.0)
     assert at(row, "start") == START["previous"]
-    assert at(made.start(np.zeros(6)), "replaced") == 0.0
+    assert at(solver.start(np.zeros(6)), "replaced") == 0.0
 
 
 ALGORITHMS = [
@@ -145,16 +145,16 @@ def test_answers_do_not_depend_on_earlier_calls(count: int, method: str, kind: s
     the problems of a batch."""
     c = case(count, kind)
     load, other = wrenches(np.random.default_rng(1), 2)
-    made, again = (c.solver(method, tolerance=1e-4, limit=30) for _ in range(2))
-    wanted, _ = made.solve(load)
-    copy = made.clone()
+    solver, again = (c.solver(method, tolerance=1e-4, limit=30) for _ in range(2))
+    expected, _ = solver.solve(load)
+    copy = solver.clone()
     for heavy in (1e-3, 1.0, 1e3, np.nan):
         again.solve(heavy * other)
-        np.testing.assert_array_equal(again.solve(load)[0], wanted)
-    made.solve(50.0 * other)
-    np.testing.assert_array_equal(copy.solve(load)[0], wanted)
-    del made
-    np.testing.assert_array_equal(copy.solve(load)[0], wanted)
+        np.testing.assert_array_equal(again.solve(load)[0], expected)
+    solver.solve(50.0 * other)
+    np.testing.assert_array_equal(copy.solve(load)[0], expected)
+    del solver
+    np.testing.assert_array_equal(copy.solve(load)[0], expected)
     loads = np.array([load, other, np.full(6, np.nan), 0.5 * load] * 4)
     for row, one in zip(copy.solve_many(loads), loads, strict=True):
         alone = copy.solve(one)[0]
@@ -168,19 +168,19 @@ def test_answers_do_not_depend_on_earlier_calls(count: int, method: str, kind: s
 @each_algorithm
 def test_bad_wrenches_are_refused_and_tiny_ones_are_solved(method: str, kind: str) -> None:
     c = case(4, kind)
-    made = c.solver(method, tolerance=1e-4)
-    good, _ = made.solve(np.ones(6) * 0.1)
+    solver = c.solver(method, tolerance=1e-4)
+    good, _ = solver.solve(np.ones(6) * 0.1)
     assert at(good, "code") == CONVERGED
     for k in range(6):
         for bad in (np.nan, np.inf, 1e13):
-            row, _ = made.solve(np.where(np.arange(6) == k, bad, 0.1))
+            row, _ = solver.solve(np.where(np.arange(6) == k, bad, 0.1))
             assert at(row, "code") == REFUSED
             assert not row[FIELDS["force"] :].any()
     for nothing in (np.zeros(6), np.full(6, 1e-310), np.full(6, 1e-140)):
-        row, _ = made.solve(nothing)
+        row, _ = solver.solve(nothing)
         assert at(row, "code") == CONVERGED
         assert np.isfinite(np.delete(row, FIELDS["lower_bound"])).all()
-    np.testing.assert_array_equal(made.solve(np.ones(6) * 0.1)[0], good)
+    np.testing.assert_array_equal(solver.solve(np.ones(6) * 0.1)[0], good)
 
 
 @pytest.mark.parametrize("method", ["newton", "reduced flow", "full flow", "sum", "largest"])
@@ -196,8 +196,8 @@ def test_a_row_without_a_force_does_not_look_like_an_optimum_of_zero(method: str
         (palm, np.eye(6)[2], {INFEASIBLE}),
         (heavy, 1e11 * load, {REFUSED, UNDECIDED}),
     ):
-        made = Case(contacts, np.zeros(4)).solver(method, tolerance=1e-4)
-        rows = [made.solve(wrench)[0], *made.solve_many(np.array([wrench] * 12))]
+        solver = Case(contacts, np.zeros(4)).solver(method, tolerance=1e-4)
+        rows = [solver.solve(wrench)[0], *solver.solve_many(np.array([wrench] * 12))]
         for row in rows:
             assert at(row, "code") in codes
             assert at(row, "objective") == np.inf
@@ -215,8 +215,8 @@ def test_contacts_of_a_call(count: int, method: str) -> None:
     positions = s.positions
     normals = s.normals
     load = wrenches(rng, 1)[0]
-    made = case(count, "hard").solver(method, tolerance=1e-5)
-    before, _ = made.solve(load)
+    solver = case(count, "hard").solver(method, tolerance=1e-5)
+    before, _ = solver.solve(load)
     for _ in range(4):
         positions = positions + 1.5e-4 * rng.standard_normal(positions.shape)
         normals = normals + 3e-3 * rng.standard_normal(normals.shape)
@@ -224,18 +224,18 @@ def test_contacts_of_a_call(count: int, method: str) -> None:
         load = load + 0.03 * wrenches(rng, 1)[0]
         there = Case(Sample(positions, normals, s.scale, s.weights), np.zeros(count))
         alone, _ = there.solver(method, tolerance=1e-5).solve(load)
-        row, _ = made.solve(load, positions=positions, normals=normals)
+        row, _ = solver.solve(load, positions=positions, normals=normals)
         assert at(row, "objective") == pytest.approx(at(alone, "objective"), rel=2e-5)
         frames = there.contacts.placement.arrays["frames"]
         np.testing.assert_array_equal(row[FIELDS["force"] + 7 * count :], frames.reshape(-1))
-        follows, _ = made.solve(
+        follows, _ = solver.solve(
             load, START["previous"], previous=before, positions=positions, normals=normals
         )
-        for each in (row, follows):
+        for record in (row, follows):
             if method == "sum":
-                certified(there, load, each, 1e-5, False)
+                certified(there, load, record, 1e-5, False)
             else:
-                check(there, load, each, 1e-5)
+                check(there, load, record, 1e-5)
         saved += at(row, "iterations") - at(follows, "iterations")
         before = follows
     assert saved > 0.0 or method == "sum"
@@ -258,19 +258,21 @@ def test_nothing_is_allocated(count: int, method: str, kind: str, calls: int) ->
     loads = wrenches(np.random.default_rng(count), 24, of(kind))
     for elastic in (False, True) if "limits" in kind and method == "newton" else (False,):
         c = case(count, kind, 0, 4.0)
-        made = c.solver(method, tolerance=1e-4, limit=100, elastic=elastic)
-        ends = {at(row, "code") for row in made.solve_many(loads)}
+        solver = c.solver(method, tolerance=1e-4, limit=100, elastic=elastic)
+        ends = {at(row, "code") for row in solver.solve_many(loads)}
         assert ends & {CONVERGED, LIMIT}
         assert (count, kind) != (4, "own limits") or ends & {EXCEEDED, INFEASIBLE}
-        assert made.allocations(loads, calls=calls) == 0
+        assert solver.allocations(loads, calls=calls) == 0
         rng = np.random.default_rng(0)
         points = c.contacts.positions + 1e-4 * rng.standard_normal((24, count, 3))
         normals = c.contacts.normals + 1e-3 * rng.standard_normal((24, count, 3))
         normals /= np.linalg.norm(normals, axis=2)[:, :, None]
-        assert made.allocations(loads, points, normals, calls=calls // 2) == 0
+        assert solver.allocations(loads, points, normals, calls=calls // 2) == 0
     if (method, kind) == ("newton", "hard"):
-        made = c.solver(tolerance=1e-4, start=START["learned"], model=model(c.contacts, 1, 0.1)[2])
-        assert made.allocations(loads, calls=calls) == 0
+        solver = c.solver(
+            tolerance=1e-4, start=START["learned"], model=model(c.contacts, 1, 0.1)[2]
+        )
+        assert solver.allocations(loads, calls=calls) == 0
 
 
 @pytest.mark.skipif(
@@ -292,9 +294,9 @@ def test_nothing_is_allocated_over_the_edge_of_supports(
         np.tile([1.0, 0.01], (3, 1)),
     )
     limits = {"max_normal": np.full(3, 1e3)} if limited else {}
-    made = Case(flat, np.full(3, gamma), limits).solver(method, tolerance=1e-4)
+    solver = Case(flat, np.full(3, gamma), limits).solver(method, tolerance=1e-4)
     beyond = np.array([-1e-3, -1e-9, -1e-12, 0.0, 1e-12, 1e-6])
     loads = np.outer(np.ones(6), [0.0, 0.0, -5.0, 0.0, 0.0, 0.0])
     loads[:, 4] = -5.0 * (0.05 + beyond)
-    assert [at(made.solve(load)[0], "code") for load in loads] == [CONVERGED] * 5 + [INFEASIBLE]
-    assert made.allocations(loads, calls=60) == 0
+    assert [at(solver.solve(load)[0], "code") for load in loads] == [CONVERGED] * 5 + [INFEASIBLE]
+    assert solver.allocations(loads, calls=60) == 0

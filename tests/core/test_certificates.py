@@ -78,10 +78,10 @@ def test_infeasible_is_proven_or_exceeded_least(count: int, what: str, free: int
             feasible += 1
             continue
         twist = nu_of(row)
-        (_, prices) = c.torques_and_prices(row)
+        (_, multipliers) = c.torques_and_multipliers(row)
         assert np.abs(twist).max() == pytest.approx(1.0)
-        assert (prices >= 0.0).all()
-        np.testing.assert_array_equal(row[FIELDS["force"] : len(row) - len(prices)], 0.0)
+        assert (multipliers >= 0.0).all()
+        np.testing.assert_array_equal(row[FIELDS["force"] : len(row) - len(multipliers)], 0.0)
         # a proof touches the cone of a contact that has no limit
         pull = np.linalg.solve(s.unit, c.matrix).T @ twist
         least = least_over(c, load, pull, inside=free > 0, elastic=False)
@@ -109,11 +109,11 @@ def test_infeasible_is_proven_or_exceeded_least(count: int, what: str, free: int
         for share in (0.3, -0.3) if what == "own" and free == 0 else ():
             other = least_over(c, (1.0 + share) * load, last, inside=True, elastic=True)
             assert other.fun >= low - share * float(nu_of(soft) @ load) - 1e-6
-        made = c.solver(elastic=True)
-        again, _ = made.solve(load)
+        solver = c.solver(elastic=True)
+        again, _ = solver.solve(load)
         for scale in (1.001, 0.7, 0.1):  # on the way back within the limits
             fresh, after = (
-                made.solve(scale * load, *more)[0]
+                solver.solve(scale * load, *more)[0]
                 for more in ((), (START["previous"], None, None, again))
             )
             assert at(after, "code") == at(fresh, "code")
@@ -137,14 +137,14 @@ def test_fingers_that_all_push_one_way_have_proofs_or_forces(method: str) -> Non
         base.weights,
     )
     c = Case(s, np.zeros(4))
-    made = c.solver(method, tolerance=1e-4)
+    solver = c.solver(method, tolerance=1e-4)
     middle = s.positions.mean(axis=0)
     press = np.array([0.0, -3.0, -4.0])
     held = np.concatenate([press, np.cross(middle, press)])
-    row, _ = made.solve(held)
+    row, _ = solver.solve(held)
     assert at(row, "code") == CONVERGED
     assert np.abs(s.rows @ c.z(row) + s.unit @ held).max() <= 1e-9 * np.abs(s.unit @ held).max()
-    row, _ = made.solve(-held)
+    row, _ = solver.solve(-held)
     assert at(row, "code") == INFEASIBLE
     twist = nu_of(row)
     pull = (s.cone_matrix.T @ twist).reshape(-1, 3)
@@ -190,7 +190,7 @@ def test_iterations_of_the_least_sum_are_the_oracles(count: int, kind: str) -> N
 
 def certified(c: Case, load: np.ndarray, row: np.ndarray, tolerance: float, largest: bool) -> None:
     """Check a record: balanced, within cones and limits, with a bound that weak duality proves from
-    multipliers and prices."""
+    multipliers of balance and limits."""
     s = c.contacts
     z = c.z(row)
     w = s.unit @ load
@@ -205,13 +205,13 @@ def certified(c: Case, load: np.ndarray, row: np.ndarray, tolerance: float, larg
     assert np.abs(c.matrix @ z + w).max() <= near * c.count * size
     assert at(row, "margin") >= 0.0
     assert c.excess(z) <= 1e-9
-    # c - G^T nu + A^T y must be in the dual cones, y the prices of the limits
-    price = c.torques_and_prices(row)[1] * c.sizes
+    # c - G^T nu + A^T y must be in the dual cones, y the multipliers of the limits
+    price = c.torques_and_multipliers(row)[1] * c.sizes
     pull = c.matrix.T @ np.linalg.solve(s.unit.T, nu_of(row)) - c.own[0].T @ price
     turn = np.zeros(c.count)
     turn[c.soft] = np.abs(pull[3 * c.count :])
-    each = pull[: 3 * c.count].reshape(-1, 3)
-    need = (each[:, 0] + np.hypot(each[:, 1], each[:, 2]) + turn) * s.divisor[:, 0] / omega
+    pulls = pull[: 3 * c.count].reshape(-1, 3)
+    need = (pulls[:, 0] + np.hypot(pulls[:, 1], pulls[:, 2]) + turn) * s.divisor[:, 0] / omega
     most = np.maximum(need, 0.0).sum() if largest else need.max()
     value = -nu_of(row) @ load - price @ c.own[1]
     low = at(row, "lower_bound")

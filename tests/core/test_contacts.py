@@ -118,11 +118,11 @@ def test_rank_lost() -> None:
 )
 def test_normals_have_unit_length(off: float, verdict: int) -> None:
     s = sample(4)
-    made = insides.place(s.positions, s.normals * (1.0 + off), s.scale, s.weights)
-    assert made.verdict == verdict
+    placed = insides.place(s.positions, s.normals * (1.0 + off), s.scale, s.weights)
+    assert placed.verdict == verdict
     if verdict == GOOD:
         np.testing.assert_allclose(
-            np.linalg.norm(made.arrays["frames"][:, :, 0], axis=1), 1.0, atol=4e-16
+            np.linalg.norm(placed.arrays["frames"][:, :, 0], axis=1), 1.0, atol=4e-16
         )
 
 
@@ -131,9 +131,10 @@ def test_neither_origin_nor_size_matters(far: float) -> None:
     s = sample(5)
     for size in (1e-3, 1e3):
         moved = insides.place(size * s.positions + far * size, s.normals, s.scale, s.weights)
-        wanted = s.placement.arrays["rows"]  # up to the digits of positions that the distance takes
+        # up to the digits of positions that the distance takes
+        expected = s.placement.arrays["rows"]
         np.testing.assert_allclose(
-            moved.arrays["rows"], wanted, rtol=0, atol=1e-13 * (1.0 + 30.0 * far)
+            moved.arrays["rows"], expected, rtol=0, atol=1e-13 * (1.0 + 30.0 * far)
         )
 
 
@@ -178,10 +179,10 @@ def test_torsion_makes_up_for_rank_that_forces_lack() -> None:
         (first(five, 1), [0], RANK_LOST),
         (smooth, list(range(5)), NEEDS_TORSION),
     ):
-        made, ratio = soft(s, which)
-        assert (made.verdict, ratio > 1e-8) == (verdict, verdict != RANK_LOST)
+        placed, ratio = soft(s, which)
+        assert (placed.verdict, ratio > 1e-8) == (verdict, verdict != RANK_LOST)
         if verdict != RANK_LOST:
-            np.testing.assert_allclose(made.arrays["rows"], s.rows, rtol=0, atol=1e-12)
+            np.testing.assert_allclose(placed.arrays["rows"], s.rows, rtol=0, atol=1e-12)
 
 
 def test_a_doubtful_rank_with_torsion_is_left_to_the_singular_values() -> None:
@@ -189,8 +190,8 @@ def test_a_doubtful_rank_with_torsion_is_left_to_the_singular_values() -> None:
     for lean in 10.0 ** np.arange(-12.0, 0.0, 0.25):
         normals = np.array([[1.0, 0.0, lean], [-1.0, 0.0, lean]]) / np.hypot(1.0, lean)
         line = np.array([[0.3, 0.1, -0.02], [0.3, 0.1, 0.02]])
-        made, ratio = soft(
+        placed, ratio = soft(
             Sample(line, normals, np.tile([0.5, 1.0, 1.0], (2, 1)), np.ones((2, 2))), [0, 1]
         )
         if not 0.9e-8 < ratio < 1.1e-8:
-            assert made.verdict == (NEEDS_TORSION if ratio > 1e-8 else RANK_LOST), ratio
+            assert placed.verdict == (NEEDS_TORSION if ratio > 1e-8 else RANK_LOST), ratio

@@ -34,7 +34,6 @@ IN_PYTHON = {
     "Summary.residual": "equilibrium_residual",
     "Summary.margin": "cone_margin",
     "Summary.replaced": "start_replaced",
-    "Record.prices": "limit_multipliers",
 }
 """Names that differ in Python."""
 CPP_ALONE = {
@@ -62,6 +61,7 @@ def names() -> tuple[str, ...]:
     found = set()
     for header in FRONT:
         text = re.sub(r"\s*//.*", "", (CORE / "include/grasp" / header).read_text())
+        text = re.sub(r"\n {6,}", " ", text)  # the rest of a line
         for kind, name, body in re.findall(
             r"\n(enum class|enum|struct|class) (\w+)[^;{]*\{(.*?)\n\};", text, re.S
         ):

@@ -45,12 +45,12 @@ def flow(
             return row, trace
 
         return alone
-    made = Case(s, np.zeros(s.count)).solver(
+    solver = Case(s, np.zeros(s.count)).solver(
         f"{form} flow", tolerance=tolerance, limit=limit, rule=numbers
     )
 
     def solve(wrench: np.ndarray, force: np.ndarray, optimum: float = np.nan, traced: int = 0):
-        return made.solve(wrench, START["given"], force=force, optimum=optimum, traced=traced)
+        return solver.solve(wrench, START["given"], force=force, optimum=optimum, traced=traced)
 
     return solve
 

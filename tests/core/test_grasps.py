@@ -134,22 +134,22 @@ def test_the_answers_of_single_solves(method: str, kind: str, count: int) -> Non
     for k in np.flatnonzero(~left):
         s = given[k]
         load = loads[k]
-        each = records[k]
+        record = records[k]
         one = alone(method, s, load)
         near = digits * np.abs(one[forces]).max()
-        if np.abs(each[forces] - one[forces]).max() > near:  # one grasp has fewer digits
+        if np.abs(record[forces] - one[forces]).max() > near:  # one grasp has fewer digits
             near = 2.0 * last_digits(method, s, load, forces)
-        np.testing.assert_array_equal(each[exact], one[exact])
-        np.testing.assert_allclose(each[forces], one[forces], rtol=0, atol=near)
+        np.testing.assert_array_equal(record[exact], one[exact])
+        np.testing.assert_allclose(record[forces], one[forces], rtol=0, atol=near)
         np.testing.assert_allclose(
-            each[[OBJECTIVE, BOUND]], one[[OBJECTIVE, BOUND]], rtol=10 * digits
+            record[[OBJECTIVE, BOUND]], one[[OBJECTIVE, BOUND]], rtol=10 * digits
         )
         np.testing.assert_allclose(
-            each[nu], one[nu], rtol=0, atol=100 * digits * np.abs(one[nu]).max()
+            record[nu], one[nu], rtol=0, atol=100 * digits * np.abs(one[nu]).max()
         )
-        assert each[MARGIN] == pytest.approx(one[MARGIN], abs=near)
-        assert each[RESIDUAL] <= 1e-9 * np.abs(load).max()
-        np.testing.assert_array_equal(each[WRENCH : WRENCH + 6], load)
+        assert record[MARGIN] == pytest.approx(one[MARGIN], abs=near)
+        assert record[RESIDUAL] <= 1e-9 * np.abs(load).max()
+        np.testing.assert_array_equal(record[WRENCH : WRENCH + 6], load)
 
 
 @each_method
@@ -168,7 +168,7 @@ def test_what_is_not_ordinary_is_left(method: str, count: int) -> None:
     )
     given[8] = Sample(s.positions, 1.01 * s.normals, s.scale, s.weights)
     loads[9], loads[10] = 0.0, np.inf
-    contacts = [placed(each, 0.01 * (k == 3)) for k, each in enumerate(given)]
+    contacts = [placed(sample, 0.01 * (k == 3)) for k, sample in enumerate(given)]
     records = solved(method, contacts, loads)
     assert (records[[3, 5, 6, 7, 8, 10], CODE] == REFUSED).all()
     left = records[:, CODE] == REFUSED
@@ -202,10 +202,10 @@ def test_no_answer_depends_on_its_neighbours(method: str, count: int) -> None:
     np.testing.assert_array_equal(
         solved(method, [given[u] for u in order], loads[rows], begin), records[rows]
     )
-    for u, each in enumerate(given):
+    for u, sample in enumerate(given):
         part = slice(first[u], first[u + 1])
         np.testing.assert_array_equal(
-            solved(method, [each], loads[part], np.array([0.0, own[u]])), records[part]
+            solved(method, [sample], loads[part], np.array([0.0, own[u]])), records[part]
         )
 
 

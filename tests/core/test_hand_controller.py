@@ -309,7 +309,7 @@ def scenario(hand) -> tuple[list[tuple[float, np.ndarray]], list[np.ndarray], An
     knees = np.outer(hand.limits, [-1.0, -0.05, 0.05, 1.0])
     table = shown.Calibration(knees, np.tile([-240.0, -20.0, 20.0, 240.0], (len(hand.limits), 1)))
     made = controller(hand, table)
-    asked = []
+    requests = []
     answered = []
     hand.env.reset(seed=0)
     age = 0.0
@@ -335,21 +335,21 @@ def scenario(hand) -> tuple[list[tuple[float, np.ndarray]], list[np.ndarray], An
         if tick == 1050:
             made.deactivate()
         commands = made.update(state, period)
-        asked.append((-period if tick == 20 else 0.0 if tick == 1050 else period, numbers))
+        requests.append((-period if tick == 20 else 0.0 if tick == 1050 else period, numbers))
         answered.append(
             np.concatenate([[shown.STATUSES.index(made.status), made.late], commands, made.torques])
         )
         if tick >= 60 and not dead:  # before, something else carries the ball
             hand.scene.advance(made.torques.tolist(), None)
-    return asked, answered, (knees, np.tile([-240.0, -20.0, 20.0, 240.0], (16, 1)))
+    return requests, answered, (knees, np.tile([-240.0, -20.0, 20.0, 240.0], (16, 1)))
 
 
 def test_the_twin_answers_the_same_and_allocates_nothing(
     hand, programs: Path, tmp_path: Path
 ) -> None:
-    asked, answered, tables = scenario(hand)
+    requests, answered, tables = scenario(hand)
     file = hand.scene.kinematics.export(tmp_path / "hand")
-    rows = [np.concatenate([[period], numbers]) for period, numbers in asked]
+    rows = [np.concatenate([[period], numbers]) for period, numbers in requests]
     given = np.concatenate([[4.0], *(table.ravel() for table in tables), *rows])
     command = [programs / "hand_controller", file, f"{hand.friction:.17g}"]
     done = run(*command, input=given.tobytes(), text=False)

@@ -87,11 +87,11 @@ def batch(kind: str, size: int = 19) -> Batch:
 
 
 def rows(given: Batch, chosen: slice | list[int]) -> Batch:
-    return mapped(given, lambda each: np.ascontiguousarray(each[chosen]))
+    return mapped(given, lambda array: np.ascontiguousarray(array[chosen]))
 
 
 def mapped(given: Batch, f: Callable[[np.ndarray], np.ndarray]) -> Batch:
-    return {name: None if each is None else f(each) for name, each in given.items()}
+    return {name: None if array is None else f(array) for name, array in given.items()}
 
 
 def solved(
@@ -115,17 +115,17 @@ def read(given: Batch, *start: np.ndarray | None) -> _core.ForceProblems:
 def differentiated(
     given: Batch, state: np.ndarray, by: tuple[np.ndarray, ...], elastic: bool = True
 ) -> Batch:
-    made = mapped(given, lambda each: np.full(each.shape, np.nan))
-    read(given).differentiate((0, len(state)), state, tuple(by), elastic, tuple(made.values()))
-    return made
+    gradients = mapped(given, lambda array: np.full(array.shape, np.nan))
+    read(given).differentiate((0, len(state)), state, tuple(by), elastic, tuple(gradients.values()))
+    return gradients
 
 
 def loss(kind: str, answer: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
     """Derivatives by force, torsion and multipliers of a random linear loss of each problem."""
     rng = np.random.default_rng([7, len(kind)])
     return tuple(
-        rng.normal(size=each.shape) * per
-        for each, per in zip(answer[1:4], (1.0, 100.0, 1.0), strict=True)
+        rng.normal(size=array.shape) * per
+        for array, per in zip(answer[1:4], (1.0, 100.0, 1.0), strict=True)
     )
 
 
@@ -145,17 +145,17 @@ def test_gradients_are_central_differences_of_the_answers(kind: str) -> None:
         again = solved(moved)
         return sum((b * a).reshape(len(a), -1).sum(1) for b, a in zip(by, again[1:4], strict=True))
 
-    for name, each in given.items():
-        if each is None:
+    for name, array in given.items():
+        if array is None:
             continue
         found = made[name]
-        step = 1e-5 * np.abs(each).max()
+        step = 1e-5 * np.abs(array).max()
         assert found is not None
         assert np.isfinite(found).all()
         # a zero of a Jacobian stays zero: else its row would touch another contact
-        direction = rng.normal(size=each.shape) * (each != 0.0)
+        direction = rng.normal(size=array.shape) * (array != 0.0)
         ahead, back, twice, far = (
-            value(given | {name: each + k * step * direction}) for k in (1.0, -1.0, 2.0, -2.0)
+            value(given | {name: array + k * step * direction}) for k in (1.0, -1.0, 2.0, -2.0)
         )
         expected = (8.0 * (ahead - back) - (twice - far)) / (12.0 * step)
         flat = (found * direction).reshape(len(found), -1)
@@ -180,7 +180,7 @@ def test_an_optimum_is_that_of_the_front(kind: str) -> None:
     assert (facts[:, 1] <= 1e-10).all()
     assert (facts[:, 2] < 1e-13 * np.abs(force).max()).all()
     for k in range(0, len(force), 6):
-        one = mapped(given, lambda each, k=k: each[k])
+        one = mapped(given, lambda array, k=k: array[k])
         soft = (
             {}
             if one["torsion"] is None
@@ -217,8 +217,8 @@ def test_an_answer_and_its_gradient_depend_on_no_neighbour(kind: str) -> None:
     given = batch(kind)
     other = batch(kind, 3)
     mixed = {
-        name: None if each is None else np.concatenate([each, other[name]])  # type: ignore[list-item]
-        for name, each in given.items()
+        name: None if array is None else np.concatenate([array, other[name]])  # type: ignore[list-item]
+        for name, array in given.items()
     }
     bad = np.array(mixed["positions"])
     wrench = np.array(mixed["wrench"])
@@ -228,8 +228,8 @@ def test_an_answer_and_its_gradient_depend_on_no_neighbour(kind: str) -> None:
     by = loss(kind, answer)
     gradients = differentiated(mixed, answer[0], by)
     assert all(
-        np.isfinite(each).all()
-        for each in (*answer[:4], *(g for g in gradients.values() if g is not None))
+        np.isfinite(array).all()
+        for array in (*answer[:4], *(g for g in gradients.values() if g is not None))
     )
     assert answer[4][5, 0] == REFUSED
     assert not answer[1][5].any()
@@ -238,11 +238,11 @@ def test_an_answer_and_its_gradient_depend_on_no_neighbour(kind: str) -> None:
         alone = solved(one)
         for a, b in zip(answer, alone, strict=True):
             assert (a[k : k + 1] == b).all()
-        found = differentiated(one, alone[0], tuple(each[k : k + 1] for each in by))
+        found = differentiated(one, alone[0], tuple(array[k : k + 1] for array in by))
         assert all(
-            (gradients[name][k] == each[0]).all()
-            for name, each in found.items()
-            if each is not None
+            (gradients[name][k] == array[0]).all()
+            for name, array in found.items()
+            if array is not None
         )
 
 
@@ -254,9 +254,9 @@ def test_masked_problems_have_no_gradient_and_their_forces_stay_inside(kind: str
     assert (state[:, -1] > 1.0).all()
     assert np.isinf(facts[:, 1]).all()
     assert not any(
-        each.any()
-        for each in differentiated(given, state, loss(kind, answer), elastic=False).values()
-        if each is not None
+        array.any()
+        for array in differentiated(given, state, loss(kind, answer), elastic=False).values()
+        if array is not None
     )
     unit = given["normals"] / np.linalg.norm(given["normals"], axis=2, keepdims=True)
     normal = (force * unit).sum(2)
@@ -274,20 +274,20 @@ def test_problems_are_read_in_any_layout() -> None:
     several leading dimensions."""
     given = batch("hard", 20)
     plain = solved(given)
-    double = mapped(given, lambda each: each.astype(np.float32).astype(np.float64))
+    double = mapped(given, lambda array: array.astype(np.float32).astype(np.float64))
     shared = given | {
         name: None if given[name] is None else given[name][0] for name in NAMES if name != "wrench"
     }
     shared |= {"friction": shared["friction"][:, 0], "force_weight": 1.3, "barrier_weight": 0.01}
-    spread = mapped(given, lambda each: np.stack([each[0]] * 20)) | {"wrench": given["wrench"]}
+    spread = mapped(given, lambda array: np.stack([array[0]] * 20)) | {"wrench": given["wrench"]}
     turned = given | {
         name: np.asfortranarray(given[name]) for name in ("positions", "friction", "wrench")
     }
     turned["normals"] = np.repeat(given["normals"], 2, axis=0)[::2]
-    folded = mapped(given, lambda each: each.reshape(4, 5, *each.shape[1:]))
+    folded = mapped(given, lambda array: array.reshape(4, 5, *array.shape[1:]))
     crossed = shared | {"wrench": given["wrench"].reshape(4, 5, 6), "normals": given["normals"][:5]}
     every = spread | {"normals": np.tile(given["normals"][:5], (4, 1, 1))}
-    single = mapped(given, lambda each: each.astype(np.float32))
+    single = mapped(given, lambda array: array.astype(np.float32))
     assert (read(given).lead, read(folded).lead, read(crossed).lead) == ((20,), (4, 5), (4, 5))
     assert (read(given).float32, read(single).float32) == (False, True)
     for one, wanted in (

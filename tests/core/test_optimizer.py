@@ -51,11 +51,11 @@ def check(
     assert at(row, "residual") == pytest.approx(left, abs=(1e-14 * c.count + more) * size)
     np.testing.assert_array_equal(row[FIELDS["wrench"] :][:6], load)
     np.testing.assert_array_equal(c.forces(row)[1][~c.soft], 0.0)
-    (torques, prices), wanted = c.torques_and_prices(row), c.torques(row)
+    (torques, multipliers), expected = c.torques_and_multipliers(row), c.torques(row)
     np.testing.assert_allclose(
-        torques, wanted, rtol=0, atol=1e-13 * (1.0 + np.abs(wanted).max(initial=0.0))
+        torques, expected, rtol=0, atol=1e-13 * (1.0 + np.abs(expected).max(initial=0.0))
     )
-    assert (prices >= 0.0).all()
+    assert (multipliers >= 0.0).all()
     if least is not None:
         # the last bound may come from dual_near, 2e-5 of the tolerance above the least
         assert bound <= least * (1.0 + 1e-12)
@@ -82,22 +82,24 @@ def test_newton_finds_the_optimum_of_the_oracle(count: int, kind: str) -> None:
         tolerance = 1e-10 if kind in HARD else 1e-9
         found = found + 1
         hard = c.contacts.minimum(load)[0] / c.contacts.divisor.reshape(-1)
-        made = c.solver(tolerance=tolerance, limit=500)
-        row, _ = made.solve(load)
-        near, _ = made.solve(1.02 * load)
-        others = [made.solve(load, START["previous"], previous=each)[0] for each in (row, near)]
-        given, _ = made.solve(load, START["given"], force=hard)
-        guess, _ = made.solve(load, START["guess"], force=1.1 * hard + 0.01)
-        for each in (row, *others, given, guess):
-            check(c, load, each, tolerance, least)
+        solver = c.solver(tolerance=tolerance, limit=500)
+        row, _ = solver.solve(load)
+        near, _ = solver.solve(1.02 * load)
+        others = [
+            solver.solve(load, START["previous"], previous=record)[0] for record in (row, near)
+        ]
+        given, _ = solver.solve(load, START["given"], force=hard)
+        guess, _ = solver.solve(load, START["guess"], force=1.1 * hard + 0.01)
+        for record in (row, *others, given, guess):
+            check(c, load, record, tolerance, least)
         # Phi is flat: a gap of 1e-10 is a distance of its root over the least curvature
         if kind in HARD:
             np.testing.assert_allclose(c.z(row), best, rtol=0, atol=3e-4 * np.abs(best).max())
             known = lower_bound(nu_of(row), c.contacts.cone_matrix, load, c.contacts.weights)
             assert known == pytest.approx(least, rel=1e-6)
-        else:  # the conditions of the optimum, with the prices of the limits as they are given
+        else:  # the conditions of the optimum, with the multipliers of the limits as they are given
             s = c.contacts
-            price = c.torques_and_prices(row)[1] * c.sizes
+            price = c.torques_and_multipliers(row)[1] * c.sizes
             z = c.z(row)
             torsion = oracle.Terms(s.weights, *(a[len(price) :] for a in c.terms[1:]))
             pull = c.matrix.T @ np.linalg.solve(s.unit.T, nu_of(row))
@@ -118,10 +120,10 @@ def test_steps_are_the_oracles(count: int, kind: str) -> None:
     assert [at(row, "iterations") for row in rows] == [0, 1, 2, 3, 4]
     for before, after in pairwise(rows):
         step, _ = oracle.newton_step(c.z(before), c.matrix, c.contacts.unit @ load, c.terms)
-        made = c.z(after) - c.z(before)
-        alpha = float(made @ step) / float(step @ step)
+        solver = c.z(after) - c.z(before)
+        alpha = float(solver @ step) / float(step @ step)
         assert 0.0 < alpha <= 1.0 + 1e-8
-        np.testing.assert_allclose(made, alpha * step, rtol=0, atol=1e-8 * np.abs(step).max())
+        np.testing.assert_allclose(solver, alpha * step, rtol=0, atol=1e-8 * np.abs(step).max())
 
 
 @pytest.mark.parametrize("kind", [*HARD, "some soft", "all soft"])
@@ -178,21 +180,21 @@ def test_small_and_large_forces_and_barriers(barrier: float) -> None:
         Sample(base.positions, base.normals, base.scale, base.weights * [1.0, 100.0 * barrier]),
         np.zeros(count),
     )
-    made = c.solver(tolerance=1e-6, limit=2000)
+    solver = c.solver(tolerance=1e-6, limit=2000)
     for size in 10.0 ** np.arange(-9.0, 7.0, 3.0):
         load = wrenches(np.random.default_rng(count), 1, size)[0]
-        check(c, load, made.solve(load)[0], 1e-6)
+        check(c, load, solver.solve(load)[0], 1e-6)
 
 
 def test_the_basis_is_that_of_the_oracle() -> None:
     c = case(4, "frictionless")
     s = c.contacts
-    made = c.solver()
-    gap, basis = made.make_basis()
+    solver = c.solver()
+    gap, basis = solver.make_basis()
     assert 0.0 <= gap <= 1e-9
-    for k, wanted in enumerate(s.basis):
-        assert phi(basis[k], s.weights) == pytest.approx(phi(wanted, s.weights), rel=1e-9)
-        np.testing.assert_allclose(basis[k], wanted, rtol=0, atol=1e-3 * np.abs(wanted).max())
+    for k, expected in enumerate(s.basis):
+        assert phi(basis[k], s.weights) == pytest.approx(phi(expected, s.weights), rel=1e-9)
+        np.testing.assert_allclose(basis[k], expected, rtol=0, atol=1e-3 * np.abs(expected).max())
         load = [*np.eye(6), *-np.eye(6), np.zeros(6)][k]
         left = s.rows @ basis[k] + s.unit @ load
         assert np.abs(left).max() <= 1e-13 * s.count * (
@@ -215,10 +217,10 @@ STARTS = (
 def test_starts_are_balanced_and_inside(count: int, name: str) -> None:
     c = case(count, "hard")
     s = c.contacts
-    made = c.solver(start=START[name])
+    solver = c.solver(start=START[name])
     for load in wrenches(np.random.default_rng(count), 2, 2.0):
         w = s.unit @ load
-        row = made.start(load, START[name])
+        row = solver.start(load, START[name])
         x = c.z(row, "initial")
         size = np.abs(x).max() + np.abs(w).max()
         assert at(row, "code") == STARTED
@@ -228,14 +230,14 @@ def test_starts_are_balanced_and_inside(count: int, name: str) -> None:
         assert at(row, "residual") <= 1e-9 * size
         assert at(row, "margin") > 0.0
         if name.startswith("linear"):
-            wanted = newton.combine(s.basis, load, name.endswith("printed"))
-            np.testing.assert_allclose(x, wanted, rtol=0, atol=1e-3 * size)
+            expected = newton.combine(s.basis, load, name.endswith("printed"))
+            np.testing.assert_allclose(x, expected, rtol=0, atol=1e-3 * size)
         if name == "single_value":  # the least force, and a multiple of an internal force
-            wanted = -s.inverse @ w
-            share = float((x - wanted) @ s.rest / (s.rest @ s.rest))
-            np.testing.assert_allclose(x, wanted + share * s.rest, rtol=0, atol=1e-3 * size)
+            expected = -s.inverse @ w
+            share = float((x - expected) @ s.rest / (s.rest @ s.rest))
+            np.testing.assert_allclose(x, expected + share * s.rest, rtol=0, atol=1e-3 * size)
             assert share >= 1.0 - 1e-3
-        solved, _ = made.solve(load, START[name])
+        solved, _ = solver.solve(load, START[name])
         np.testing.assert_allclose(c.z(solved, "initial"), x, rtol=0, atol=1e-12 * size)
         check(c, load, solved, 1e-9)
 
@@ -250,11 +252,11 @@ def test_a_given_start_is_one_or_refused(kind: str) -> None:
         for load in wrenches(np.random.default_rng(4), 9, of(kind))
         if c.minimum(load) is not None
     )
-    made = c.solver(tolerance=1e-8)
-    row, _ = made.solve(load)
+    solver = c.solver(tolerance=1e-8)
+    row, _ = solver.solve(load)
     check(c, load, row, 1e-8)
     force, torsion = c.forces(row)
-    given, _ = made.solve(load, START["given"], force=force, torsion=torsion)
+    given, _ = solver.solve(load, START["given"], force=force, torsion=torsion)
     assert (at(given, "start"), at(given, "replaced")) == (START["given"], 0.0)
     np.testing.assert_allclose(
         c.forces(given, "initial")[0], force, rtol=0, atol=1e-9 * np.abs(force).max()
@@ -264,19 +266,21 @@ def test_a_given_start_is_one_or_refused(kind: str) -> None:
     none = (np.full(12, np.nan), -force, np.zeros(12), 1e13 * force)
     for bad in (*none, unbalanced, 1.001 * force, force[:9]):
         assert (
-            at(made.solve(load, START["given"], force=bad, torsion=torsion)[0], "code") == REFUSED
+            at(solver.solve(load, START["given"], force=bad, torsion=torsion)[0], "code") == REFUSED
         )
     for number in (np.nan, 1.0) if kind == "all soft" else ():
         bad = np.where(np.arange(4) == 1, number, torsion)
-        assert at(made.solve(load, START["given"], force=force, torsion=bad)[0], "code") == REFUSED
+        assert (
+            at(solver.solve(load, START["given"], force=force, torsion=bad)[0], "code") == REFUSED
+        )
     for bad in none:
         before = row.copy()
         before[FIELDS["force"] :][:12] = bad
-        check(c, load, made.solve(load, START["previous"], previous=before)[0], 1e-8)
-        check(c, load, made.solve(load, START["previous"], force=bad)[0], 1e-8)
+        check(c, load, solver.solve(load, START["previous"], previous=before)[0], 1e-8)
+        check(c, load, solver.solve(load, START["previous"], force=bad)[0], 1e-8)
         if kind in HARD:
-            check(c, load, made.solve(load, START["guess"], force=bad)[0], 1e-8)
-    np.testing.assert_array_equal(made.solve(load)[0], row)
+            check(c, load, solver.solve(load, START["guess"], force=bad)[0], 1e-8)
+    np.testing.assert_array_equal(solver.solve(load)[0], row)
 
 
 @pytest.mark.parametrize("count", SOME)
@@ -285,14 +289,14 @@ def test_a_guess_is_balanced_and_the_best_on_the_way(count: int) -> None:
     rng = np.random.default_rng(count)
     used = set()
     s = c.contacts
-    made = c.solver()
+    solver = c.solver()
     for size in (1e-3, 0.3, 10.0):
         load = wrenches(rng, 1, 2.0)[0]
         w = s.unit @ load
         best = s.minimum(load)[0]
         guess = best * (1.0 + size * rng.standard_normal(3 * count))
-        row = made.start(load, START["guess"], force=guess / s.divisor.reshape(-1))
-        plain = made.start(load)
+        row = solver.start(load, START["guess"], force=guess / s.divisor.reshape(-1))
+        plain = solver.start(load)
         x = c.z(row, "initial")
         safe = c.z(plain, "initial")
         moved = guess - s.inverse @ (s.rows @ guess + w)
@@ -313,21 +317,21 @@ def test_the_combination_follows_moved_contacts(count: int) -> None:
     c = case(count, "hard")
     replaced = set()
     s = c.contacts
-    made = c.solver(start=START["linear_combination"], limit=0)
+    solver = c.solver(start=START["linear_combination"], limit=0)
     for seed, w in enumerate(wrenches(np.random.default_rng(count), 5)):
         for size in (1e-3, 0.03, 0.1, 0.3, 2.0):
             there = moved(s, size, seed)
             combined = newton.combine(s.basis, w)
             turned = turned_forces(combined, s.frames, there.frames, s.divisor, s.scale)
-            wanted = newton.tangent_correction(turned, there.rows, there.unit @ w, s.weights)
-            grown = phi(wanted, s.weights) / phi(combined, s.weights)
-            row, _ = made.solve(w, positions=there.positions, normals=there.normals)
+            expected = newton.tangent_correction(turned, there.rows, there.unit @ w, s.weights)
+            grown = phi(expected, s.weights) / phi(combined, s.weights)
+            row, _ = solver.solve(w, positions=there.positions, normals=there.normals)
             if at(row, "code") != LIMIT or abs(grown - 2.0) < 1e-2:
                 continue
             assert at(row, "replaced") == (not grown <= 2.0)
             replaced.add(at(row, "replaced"))
             if grown <= 2.0:
                 np.testing.assert_allclose(
-                    c.z(row, "initial"), wanted, rtol=0, atol=1e-4 * np.abs(wanted).max()
+                    c.z(row, "initial"), expected, rtol=0, atol=1e-4 * np.abs(expected).max()
                 )
     assert replaced == {0.0, 1.0}

@@ -38,10 +38,10 @@ X, WEIGHTS, DEPTH = rows()
 def test_phi_and_its_gradient(lanes: int) -> None:
     found = insides.phi(lanes, X, WEIGHTS)
     slope = insides.gradient(lanes, X, WEIGHTS)
-    wanted = np.array(
+    expected = np.array(
         [oracle.phi(x.astype(LONG), w[None]) for x, w in zip(X, WEIGHTS, strict=True)]
     )
-    assert (np.abs(found[:, 0] / wanted - 1.0) <= EPS * (4.0 + 2.0 / DEPTH)).all()
+    assert (np.abs(found[:, 0] / expected - 1.0) <= EPS * (4.0 + 2.0 / DEPTH)).all()
     gradient = np.array(
         [oracle.gradient(x.astype(LONG), w[None]) for x, w in zip(X, WEIGHTS, strict=True)]
     )
@@ -65,8 +65,8 @@ def test_curvature_and_inverse_hessian(lanes: int) -> None:
         )  # three powers of the difference: rounding of the largest
         assert abs(bend - move @ hessian @ move) <= EPS * (32.0 + 16.0 / depth) * size
     for x, w, depth, block in zip(X, WEIGHTS, DEPTH, inverse.reshape(-1, 3, 3), strict=True):
-        wanted = oracle.inverse_hessian(x.astype(LONG), *w)
-        assert np.abs(block - wanted).max() <= 8.0 * EPS * np.abs(wanted).max()
+        expected = oracle.inverse_hessian(x.astype(LONG), *w)
+        assert np.abs(block - expected).max() <= 8.0 * EPS * np.abs(expected).max()
         if depth > 0.01:  # it is the inverse of the dense Hessian
             scale = np.sqrt(np.diag(oracle.hessian(x, w[None])))
             unit = (

@@ -84,9 +84,9 @@ def test_random_pairs_of_solids(first: str, second: str) -> None:
         turn = q * np.sign(np.linalg.det(q))
         shift = rng.normal(size=3) * (0.0, 0.012, 0.05, 0.05)[trial % 4]
         found = _core_test.limb_gap(a, b, turn.ravel(), shift)
-        wanted = distance(corners_a, corners_b @ turn.T + shift) - radius_a - radius_b
+        expected = distance(corners_a, corners_b @ turn.T + shift) - radius_a - radius_b
         # corners instead of circles; QJ and the expanding polytope stop at 1 um
-        assert found == pytest.approx(wanted, abs=2e-4 if "cylinder" in (first, second) else 2e-6)
+        assert found == pytest.approx(expected, abs=2e-4 if "cylinder" in (first, second) else 2e-6)
         enough = 0.5 * max(found, 1e-3)  # of which a lower bound is enough
         low = _core_test.limb_gap(a, b, turn.ravel(), shift, enough)
         assert min(found, enough) - 2e-6 <= low <= found + 2e-6

@@ -116,5 +116,5 @@ def test_the_page_names_every_code() -> None:
     header = (CORE / "include/grasp/record.hpp").read_text()
     codes = re.search(r"enum Code \{(.*?)\n\}", header, re.DOTALL)
     assert codes is not None
-    told = re.findall(r"^\| `([A-Z_]+)`", (CORE / "README.md").read_text(), re.MULTILINE)
-    assert told == re.findall(r"^ +([A-Z_]+),", codes[1], re.MULTILINE) != []
+    documented = re.findall(r"^\| `([A-Z_]+)`", (CORE / "README.md").read_text(), re.MULTILINE)
+    assert documented == re.findall(r"^ +([A-Z_]+),", codes[1], re.MULTILINE) != []

@@ -28,14 +28,14 @@ def row(count: int = 4, joints: int = 0, limits: int = 0, **said: float) -> np.n
     return numbers
 
 
-def made(count: int = 4, joints: int = 0, limits: int = 0, **said: float) -> ForceSolution:
+def solution_of(count: int = 4, joints: int = 0, limits: int = 0, **said: float) -> ForceSolution:
     return ForceSolution(row(count, joints, limits, **said), NAMES)
 
 
 @pytest.mark.parametrize(("joints", "limits"), [(0, 0), (12, 24), (0, 5)])
 @pytest.mark.parametrize("count", [0, 4])
 def test_arrays_are_views_of_the_record(count: int, joints: int, limits: int) -> None:
-    solution = made(count, joints, limits)
+    solution = solution_of(count, joints, limits)
     numbers = row(count, joints, limits)[FORCE:]
     assert solution.n_contacts == count
     shapes = {
@@ -92,11 +92,11 @@ def test_the_summary_is_read_off() -> None:
 
 
 @pytest.mark.parametrize("code", ["infeasible", "limits_exceeded"])
-def test_a_proof_has_prices_and_an_excess_has_none(code: str) -> None:
-    solution = made(4, 2, 4, code=CODES[code])
+def test_a_proof_has_multipliers_and_an_excess_has_none(code: str) -> None:
+    solution = solution_of(4, 2, 4, code=CODES[code])
     assert len(solution.limit_multipliers) == (4 if code == "infeasible" else 0)
     assert (solution.certificate is None) == (code != "infeasible")
-    assert made(4, 2, 4).certificate is None
+    assert solution_of(4, 2, 4).certificate is None
 
 
 def test_views_keep_the_record_alive_and_nothing_leaks() -> None:

@@ -23,11 +23,11 @@ class Buffer {
 
   // True for float64 numbers of this shape; -1: any length.
   template <class... Sizes> bool has(Sizes... sizes) const {
-    const Py_ssize_t wanted[] = {Py_ssize_t(sizes)...};
+    const Py_ssize_t expected[] = {Py_ssize_t(sizes)...};
     if (!held_ || std::strcmp(view_.format, "d") != 0 || view_.ndim != int(sizeof...(sizes)))
       return false;
     for (int a = 0; a < view_.ndim; ++a)
-      if (wanted[a] >= 0 && view_.shape[a] != wanted[a]) return false;
+      if (expected[a] >= 0 && view_.shape[a] != expected[a]) return false;
     return true;
   }
   // True for `count` float64 numbers in any shape.

@@ -42,15 +42,15 @@ struct ContactReader {
     if (!at.has(-1, 3) || at.length(0) > most) return nb::none();
     const int count = int(at.length(0));
     if (!inward.has(count, 3) || (turned && !along.has(count, 3))) return nb::none();
-    const auto made = [&](std::span<const double> mu) {
+    const auto placed = [&](std::span<const double> mu) {
       return place(Contacts(count, mu, {}, turned ? along.data() : nullptr), mu, at.data(),
                    inward.data());
     };
-    if (PyFloat_Check(friction.ptr())) return made(std::array{PyFloat_AsDouble(friction.ptr())});
+    if (PyFloat_Check(friction.ptr())) return placed(std::array{PyFloat_AsDouble(friction.ptr())});
     if (!plain(friction)) return nb::none();
     const Buffer mu(friction);
-    if (mu.has(count)) return made(std::span(mu.data(), count));
-    return mu.has(count, 2) ? made(std::span(mu.data(), 2 * count)) : nb::none();
+    if (mu.has(count)) return placed(std::span(mu.data(), count));
+    return mu.has(count, 2) ? placed(std::span(mu.data(), 2 * count)) : nb::none();
   }
 
  private:
@@ -92,9 +92,9 @@ int normalise(nb::handle normals) {
   int first = -1;
   for (int i = int(n.length(0)) - 1; i >= 0; --i) {
     const Point given = point(n.data() + 3 * i);
-    const Point made = normalised(given);
+    const Point unit = normalised(given);
     if (!(std::abs(length(given) - 1.0) <= UNIT_TOLERANCE)) first = i;
-    for (int a = 0; a < 3; ++a) n.data()[3 * i + a] = made[a];
+    for (int a = 0; a < 3; ++a) n.data()[3 * i + a] = unit[a];
   }
   return first;
 }
@@ -102,10 +102,10 @@ int normalise(nb::handle normals) {
 // Convert (N, 2) friction along o and t, 0: frictionless, to (N, 3) scale of cone coordinates.
 void scales(nb::handle friction, nb::handle scale) {
   const Numbers mu = in(friction, -1, 2);
-  const Numbers made = out(scale, mu.length(0), 3);
+  const Numbers cones = out(scale, mu.length(0), 3);
   for (Py_ssize_t i = 0; i < mu.length(0); ++i) {
-    const Point one = cone_scale(mu.data()[2 * i], mu.data()[2 * i + 1]);
-    for (int a = 0; a < 3; ++a) made.data()[3 * i + a] = one[a];
+    const Point row = cone_scale(mu.data()[2 * i], mu.data()[2 * i + 1]);
+    for (int a = 0; a < 3; ++a) cones.data()[3 * i + a] = row[a];
   }
 }
 
@@ -131,22 +131,22 @@ Contacts put(nb::handle positions, nb::handle normals, nb::handle scale, nb::han
   const Numbers gamma = in(torsion, count);
   const Numbers along = in(tangents, -1, 3);
   const std::vector<double> weights(2 * count, 1.0);
-  Contacts made(count, s.data(), weights.data(),
-                along.length(0) ? in(tangents, count, 3).data() : nullptr, gamma.data());
-  made.set_weights(Objective{});
-  if (made.place(p.data(), n.data()) == Placing::refused)
-    made.unit = UnitFrame(p.data(), count);  // for their size
-  return made;
+  Contacts contacts(count, s.data(), weights.data(),
+                    along.length(0) ? in(tangents, count, 3).data() : nullptr, gamma.data());
+  contacts.set_weights(Objective{});
+  if (contacts.place(p.data(), n.data()) == Placing::refused)
+    contacts.unit = UnitFrame(p.data(), count);  // for their size
+  return contacts;
 }
 
 // Copies for solvers, with the current directions of o.
 template <class Weights> Contacts weighed(const Contacts& contacts, const Weights& weights) {
   if (contacts.placing != Placing::good) throw nb::value_error("rank(G) < 6");
-  Contacts made = contacts;
-  made.keep_tangents();
-  made.set_weights(weights);
-  if (!made.weights_good()) throw nb::value_error("weights must be finite and > 0");
-  return made;
+  Contacts copy = contacts;
+  copy.keep_tangents();
+  copy.set_weights(weights);
+  if (!copy.weights_good()) throw nb::value_error("weights must be finite and > 0");
+  return copy;
 }
 Contacts weighed_alike(const Contacts& contacts, double force_weight, double barrier_weight) {
   return weighed(contacts, Objective{force_weight, barrier_weight});
@@ -159,15 +159,16 @@ const Contacts& of(nb::handle self) { return nb::cast<const Contacts&>(self); }
 
 ReadOnly torsion_matrix(const Contacts& c) {
   const std::size_t n = c.count;
-  std::vector<double> made(6 * n);
+  std::vector<double> matrix(6 * n);
   for (std::size_t i = 0; i < n; ++i)
-    for (int a = 0; a < 3 && c.torsion[i] > 0.0; ++a) made[(3 + a) * n + i] = c.normals[3 * i + a];
-  return kept(std::move(made), {6, n});
+    for (int a = 0; a < 3 && c.torsion[i] > 0.0; ++a)
+      matrix[(3 + a) * n + i] = c.normals[3 * i + a];
+  return kept(std::move(matrix), {6, n});
 }
 ReadOnly unit_frame(const Contacts& c) {
-  std::vector<double> made(36);
-  c.unit.write(made.data());
-  return kept(std::move(made), {6, 6});
+  std::vector<double> matrix(36);
+  c.unit.write(matrix.data());
+  return kept(std::move(matrix), {6, 6});
 }
 
 }  // namespace
@@ -234,8 +235,8 @@ void bind_contacts(nb::module_& m) {
       .def(
           "within_reach",
           [](const Contacts& c, nb::handle wrench, nb::handle to) {
-            const Vec6 made = c.within_reach(in(wrench, 6).data());
-            std::copy(made.begin(), made.end(), out(to, 6).data());
+            const Vec6 part = c.within_reach(in(wrench, 6).data());
+            std::copy(part.begin(), part.end(), out(to, 6).data());
           },
           "wrench"_a, "to"_a,
           "Write a wrench (6,) without its part that no forces of these contacts make into `to` "

@@ -103,15 +103,15 @@ bool see(Controller& controller, nb::handle reading, nb::handle external, nb::ha
 
 Controller::Outcome outcome(const Controller& controller, nb::handle target, nb::handle error,
                             nb::handle measured) {
-  const Controller::Outcome found =
+  const Controller::Outcome result =
       controller.outcome(target_of(target), out(measured, controller.tree->fingers(), 3).data());
-  const double* first = &found.error.position.u;
+  const double* first = &result.error.position.u;
   std::copy(first, first + 12, out(error, 12).data());
-  return found;
+  return result;
 }
 static_assert(sizeof(PoseError) == 12 * sizeof(double));
 
-// The data of a step that `told` reports.
+// The data of a step that `step_info` reports.
 struct StepReport {
   const Controller& c;
   const Controller::Outcome& outcome;
@@ -121,19 +121,19 @@ struct StepReport {
 };
 
 PyObject* new_array(const double* from, std::initializer_list<npy_intp> shape) {
-  PyObject* made = PyArray_SimpleNew(int(shape.size()), shape.begin(), NPY_DOUBLE);
-  if (!made) return nullptr;
-  PyArrayObject* array = reinterpret_cast<PyArrayObject*>(made);
+  PyObject* result = PyArray_SimpleNew(int(shape.size()), shape.begin(), NPY_DOUBLE);
+  if (!result) return nullptr;
+  PyArrayObject* array = reinterpret_cast<PyArrayObject*>(result);
   std::copy_n(from, PyArray_SIZE(array), static_cast<double*>(PyArray_DATA(array)));
-  return made;
+  return result;
 }
 PyObject* touching(const Controller& c) {
   npy_intp fingers = c.tree->fingers();
-  PyObject* made = PyArray_SimpleNew(1, &fingers, NPY_BOOL);
-  if (!made) return nullptr;
-  npy_bool* to = static_cast<npy_bool*>(PyArray_DATA(reinterpret_cast<PyArrayObject*>(made)));
+  PyObject* result = PyArray_SimpleNew(1, &fingers, NPY_BOOL);
+  if (!result) return nullptr;
+  npy_bool* to = static_cast<npy_bool*>(PyArray_DATA(reinterpret_cast<PyArrayObject*>(result)));
   for (int i = 0; i < fingers; ++i) to[i] = c.scene->now.touching[i] > 0.0;
-  return made;
+  return result;
 }
 
 constexpr double LARGEST_GAP = 1e9;  // reported instead of an infinite gap
@@ -184,9 +184,9 @@ constexpr struct {
 
 PyObject* field_names[std::size(REPORT_FIELDS)];  // the names, interned once
 
-nb::typed<nb::dict, nb::str, nb::object> told(const Controller& c,
-                                              const Controller::Outcome& outcome,
-                                              nb::handle measured) {
+nb::typed<nb::dict, nb::str, nb::object> step_info(const Controller& c,
+                                                   const Controller::Outcome& outcome,
+                                                   nb::handle measured) {
   const StepReport report{c, outcome, in(measured, c.tree->fingers(), 3).data()};
   nb::dict out;
   for (std::size_t k = 0; k < std::size(REPORT_FIELDS); ++k) {
@@ -383,7 +383,7 @@ void bind_controller(nb::module_& m) {
            "Return the outcome from the true state; write the pose error (12,) against a target "
            "(19,), and the measured forces\n"
            "(N, 3) in the commanded contact frames [N].")
-      .def("told", &told, "outcome"_a, "measured"_a,
+      .def("step_info", &step_info, "outcome"_a, "measured"_a,
            "Return the report of a step by name: the method's solution, contacts, forces [N], "
            "effort, and an outcome with its\n"
            "measured forces (N, 3). The arrays are copies.")

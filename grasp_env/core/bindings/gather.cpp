@@ -21,14 +21,14 @@ class Gather {
   }
   nb::object operator()() const {
     npy_intp size = bound_.size();
-    nb::object made = nb::steal(PyArray_SimpleNew(1, &size, NPY_FLOAT));
-    if (!made) throw nb::python_error();
+    nb::object row = nb::steal(PyArray_SimpleNew(1, &size, NPY_FLOAT));
+    if (!row) throw nb::python_error();
     const float* bound = bound_.data();
-    float* to = static_cast<float*>(PyArray_DATA(reinterpret_cast<PyArrayObject*>(made.ptr())));
+    float* to = static_cast<float*>(PyArray_DATA(reinterpret_cast<PyArrayObject*>(row.ptr())));
     for (const Part& part : parts_)
       for (std::size_t k = 0; k < part.size(); ++k, ++bound, ++to)
         *to = std::min(std::max(float(part.data()[k]), -*bound), *bound);
-    return made;
+    return row;
   }
 
  private:

@@ -139,19 +139,19 @@ int choose(GraspSearch& search, const std::vector<std::vector<int>>& picks, nb::
   const Numbers p = out(points, f.length(0), fingers, 3);
   const Numbers n = out(normals, f.length(0), fingers, 3);
   const Numbers c = out(choices, f.length(0), fingers);
-  const auto found = search.choose(picks, int(f.length(0)));
-  for (std::size_t r = 0; r < found.size(); ++r) {
-    f.data()[r] = found[r].force;
+  const auto chosen = search.choose(picks, int(f.length(0)));
+  for (std::size_t r = 0; r < chosen.size(); ++r) {
+    f.data()[r] = chosen[r].force;
     for (std::size_t i = 0; i < fingers; ++i) {
-      const Place& place = search.pools[i][found[r].choice[i]];
-      c.data()[fingers * r + i] = found[r].choice[i];
+      const Place& place = search.pools[i][chosen[r].choice[i]];
+      c.data()[fingers * r + i] = chosen[r].choice[i];
       for (int k = 0; k < 3; ++k) {
         p.data()[3 * (fingers * r + i) + k] = place.point[k];
         n.data()[3 * (fingers * r + i) + k] = place.normal[k];
       }
     }
   }
-  return int(found.size());
+  return int(chosen.size());
 }
 
 int assemble(GraspSearch& search, const std::vector<int>& choice, double clearance,

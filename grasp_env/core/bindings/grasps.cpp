@@ -41,14 +41,14 @@ void solve_contacts(nb::list contacts, nb::handle weights, nb::handle first,
     placed.push_back(one);
   }
   const Grasps given(int(count), grasps, placed.data(), price.data(), begins.data());
-  const int made = record_size(int(count));
+  const int size = record_size(int(count));
   const int whole = record_size(int(count), 0, 0);
   nb::gil_scoped_release free;
-  std::vector<double> found(made * many);
-  solve(given, {stop.first, stop.second}, {many, loads.data(), found.data()});
+  std::vector<double> answers(size * many);
+  solve(given, {stop.first, stop.second}, {many, loads.data(), answers.data()});
   for (Py_ssize_t u = 0; u < grasps; ++u)
     for (auto k = Py_ssize_t(begins.data()[u]); k < Py_ssize_t(begins.data()[u + 1]); ++k) {
-      double* row = std::copy_n(&found[made * k], made, rows.data() + whole * k) - made;
+      double* row = std::copy_n(&answers[size * k], size, rows.data() + whole * k) - size;
       const Record record(row, int(count));
       Summary& s = record.summary();
       s.start = double(start);

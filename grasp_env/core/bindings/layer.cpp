@@ -42,15 +42,15 @@ class Problems {
   static Problems* of(nb::tuple given, Py_ssize_t most_contacts, Py_ssize_t most_joints) {
     if (given.size() != INPUTS && given.size() != INPUTS + 1)
       throw nb::type_error("expected 13 tensors, and optionally a start");
-    std::unique_ptr<Problems> made(new Problems(given));
-    return made->take(most_contacts, most_joints) ? made.release() : nullptr;
+    std::unique_ptr<Problems> problems(new Problems(given));
+    return problems->take(most_contacts, most_joints) ? problems.release() : nullptr;
   }
   Py_ssize_t size() const { return batch.size; }
   int contacts() const { return batch.contacts; }
   nb::tuple lead() const {
-    nb::list made;
-    for (int a = 0; a < leading_; ++a) made.append(lead_[a]);
-    return nb::tuple(made);
+    nb::list lengths;
+    for (int a = 0; a < leading_; ++a) lengths.append(lead_[a]);
+    return nb::tuple(lengths);
   }
 
   // results: force, torsion, multipliers, facts, state
@@ -61,13 +61,13 @@ class Problems {
       throw nb::type_error("expected force, torsion, multipliers, facts and state");
     const NumberRows forces(results[0], true, size(), 3 * n);
     const NumberRows turns(results[1], true, size(), n);
-    const NumberRows prices(results[2], true, size(), 6);
-    const NumberRows told(results[3], true, size(), LAYER_FACTS);
+    const NumberRows multipliers(results[2], true, size(), 6);
+    const NumberRows facts(results[3], true, size(), LAYER_FACTS);
     const NumberRows states(results[4], true, size(), layer_state_size(contacts()));
     const ForceBatch chosen = part(from, to);
     nb::gil_scoped_release free;
     optimal_forces(chosen, {stop.first, stop.second},
-                   {forces[from], turns[from], prices[from], told[from], states[from]});
+                   {forces[from], turns[from], multipliers[from], facts[from], states[from]});
   }
   // state: from `solve`. losses: the derivatives of a loss with respect to force, torsion and
   // multipliers, None: zero. gradients: arrays in the order of the inputs, or None.
@@ -82,20 +82,20 @@ class Problems {
     const NumberRows states(state, false, size(), layer_state_size(contacts()));
     const NumberRows forces(losses[0], false, size(), 3 * n, true);
     const NumberRows turns(losses[1], false, size(), n, true);
-    const NumberRows prices(losses[2], false, size(), 6, true);
-    BatchGradients made{};
+    const NumberRows multipliers(losses[2], false, size(), 6, true);
+    BatchGradients targets{};
     for (int k = 0; k < INPUTS; ++k) {
       if (gradients[k].is_none()) continue;
       if (!(batch.*FORCE_INPUTS[k]))
         throw nb::type_error("a gradient is requested for an input that is not given");
       const Py_ssize_t row = rows_[k].count();
-      double* const data = made.*FORCE_GRADIENTS[k] =
+      double* const data = targets.*FORCE_GRADIENTS[k] =
                                NumberRows(gradients[k], true, size(), row)[from];
       std::fill_n(data, row * (to - from), 0.0);  // the tuple holds the array
     }
     nb::gil_scoped_release free;
-    optimal_forces_gradients(chosen, states[from], forces[from], turns[from], prices[from], elastic,
-                             made);
+    optimal_forces_gradients(chosen, states[from], forces[from], turns[from], multipliers[from],
+                             elastic, targets);
   }
 
  private:

@@ -30,11 +30,12 @@ int limit_rows(nb::tuple given, nb::handle matrix, nb::handle bounds, nb::handle
                            span(limit, joints), span(bias, joints)};
   std::vector<double> row(4 * count);
   int rows = 0;
-  limits.rows(int(count), 4, row, [&](std::span<const double> made, double b, double whole) {
-    std::copy(made.begin(), made.end(), to.data() + 4 * count * rows);
-    bound.data()[rows] = b;
-    size.data()[rows++] = whole;
-  });
+  limits.rows(int(count), 4, row,
+              [&](std::span<const double> coefficients, double b, double whole) {
+                std::copy(coefficients.begin(), coefficients.end(), to.data() + 4 * count * rows);
+                bound.data()[rows] = b;
+                size.data()[rows++] = whole;
+              });
   return rows;
 }
 

@@ -65,14 +65,14 @@ class ForceOptimizer : public grasp::ForceOptimizer {
 
   // Solve, and return a new solution with the constructor's names.
   nb::object solved(const Request& ask) {
-    const Record& made = solve(ask);
-    if (made.has_force() && last_names_.ptr() != names_.ptr()) last_names_ = names_;
-    return solution(made, names_);
+    const Record& record = solve(ask);
+    if (record.has_force() && last_names_.ptr() != names_.ptr()) last_names_ = names_;
+    return solution(record, names_);
   }
   // The last solution with a force, or None.
   nb::object last() {
-    const std::optional<Record> found = previous();
-    return found ? solution(*found, last_names_) : nb::none();
+    const std::optional<Record> record = previous();
+    return record ? solution(*record, last_names_) : nb::none();
   }
   bool take(nb::handle solution) {
     const bool taken = remember(Record(row_of(solution)));
@@ -118,9 +118,9 @@ class ForceOptimizer : public grasp::ForceOptimizer {
     return solution(row, names);
   }
   nb::object solution(const nb::object& row, const nb::object& names) const {
-    nb::object made = nb::steal(new_solution(kind_.ptr(), row.ptr(), names.ptr()));
-    if (!made) throw nb::python_error();
-    return made;
+    nb::object result = nb::steal(new_solution(kind_.ptr(), row.ptr(), names.ptr()));
+    if (!result) throw nb::python_error();
+    return result;
   }
 
   bool read_friction(PyObject* given, Changes& now) {
@@ -209,10 +209,10 @@ nb::typed<nb::tuple, int, int, double> deepest(ForceOptimizer& on, nb::handle wr
   const Numbers turn = out(torsion, on.count);
   const Numbers proof = out(twist, 6);
   const std::size_t count = on.count;
-  const grasp::Deepest found =
+  const grasp::Deepest deepest =
       on.deepest(grasp::Wrench(load.data(), 6), {to.data(), 3 * count}, {turn.data(), count});
-  std::copy(found.twist.begin(), found.twist.end(), proof.data());
-  return nb::make_tuple(int(found.code), found.iterations, found.margin);
+  std::copy(deepest.twist.begin(), deepest.twist.end(), proof.data());
+  return nb::make_tuple(int(deepest.code), deepest.iterations, deepest.margin);
 }
 
 void set_basis(ForceOptimizer& on, nb::handle basis) {
@@ -228,11 +228,11 @@ void combine(nb::handle basis, nb::handle wrench, bool printed, nb::handle to) {
   const Numbers load = in(wrench, 6);
   const Py_ssize_t size = rows.length(1);
   const Numbers sum = out(to, size);
-  const grasp::Combination made(load.data(), printed);
+  const grasp::Combination combination(load.data(), printed);
   std::fill(sum.data(), sum.data() + size, 0.0);
   for (int k = 0; k < 7; ++k)
     for (Py_ssize_t j = 0; j < size; ++j)
-      sum.data()[j] += made.weights[k] * rows.data()[size * made.rows[k] + j];
+      sum.data()[j] += combination.weights[k] * rows.data()[size * combination.rows[k] + j];
 }
 
 }  // namespace

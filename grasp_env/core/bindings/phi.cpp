@@ -11,10 +11,10 @@ namespace {
 // Call f(contact, its force x, its weights) for x (N, 3) and weights (N, 2).
 template <class F> void each(nb::handle x, nb::handle weights, F&& f) {
   const Numbers rows = in(x, -1, 3);
-  const Numbers prices = in(weights, rows.length(0), 2);
+  const Numbers values = in(weights, rows.length(0), 2);
   for (Py_ssize_t i = 0; i < rows.length(0); ++i)
     f(i, point(rows.data() + 3 * i),
-      Weights<double>{prices.data()[2 * i], prices.data()[2 * i + 1]});
+      Weights<double>{values.data()[2 * i], values.data()[2 * i + 1]});
 }
 
 double value(nb::handle x, nb::handle weights) {
@@ -29,8 +29,8 @@ double value(nb::handle x, nb::handle weights) {
 void gradients(nb::handle x, nb::handle weights, nb::handle to) {
   double* out_ = out(to, in(x, -1, 3).length(0), 3).data();
   each(x, weights, [&](Py_ssize_t i, const Point& at, const Weights<double>& w) {
-    const Point made = gradient(at, w);
-    for (int a = 0; a < 3; ++a) out_[3 * i + a] = made[a];
+    const Point slope = gradient(at, w);
+    for (int a = 0; a < 3; ++a) out_[3 * i + a] = slope[a];
   });
 }
 

@@ -34,25 +34,25 @@ StepRule rule_of(nb::handle numbers) {
 // the order of `ForceLimits`
 void make_problem(OwnProblem* self, const Contacts& contacts, nb::handle weights,
                   nb::handle limits) {
-  OwnProblem made{contacts};
+  OwnProblem problem{contacts};
   if (weights.is_none()) {
-    made.contacts.set_weights(Objective{});
+    problem.contacts.set_weights(Objective{});
   } else if (PyTuple_Check(weights.ptr())) {
     const auto [omega, lambda] = nb::cast<std::pair<double, double>>(weights);
-    made.contacts.set_weights(Objective{omega, lambda});
+    problem.contacts.set_weights(Objective{omega, lambda});
   } else {
-    made.contacts.set_weights(in(weights, contacts.count, 2).data());
+    problem.contacts.set_weights(in(weights, contacts.count, 2).data());
   }
   if (!limits.is_none()) {
     const nb::tuple given = nb::cast<nb::tuple>(limits);
     if (given.size() != 5) throw nb::type_error("expected the five arrays of `ForceLimits`");
-    made.min_normal = copied(given[0], contacts.count);
-    made.max_normal = copied(given[1], contacts.count);
-    made.torque_limit = copied(given[3], -1);
-    made.jacobian = copied(given[2], contacts.count, -1, made.torque_limit.size());
-    made.torque_bias = copied(given[4], made.torque_limit.size());
+    problem.min_normal = copied(given[0], contacts.count);
+    problem.max_normal = copied(given[1], contacts.count);
+    problem.torque_limit = copied(given[3], -1);
+    problem.jacobian = copied(given[2], contacts.count, -1, problem.torque_limit.size());
+    problem.torque_bias = copied(given[4], problem.torque_limit.size());
   }
-  new (self) OwnProblem(std::move(made));
+  new (self) OwnProblem(std::move(problem));
 }
 
 Method method_of(std::string_view name) {
@@ -73,33 +73,33 @@ Start start_of(int start) {
 void make_options(Options* self, const char* method, bool largest, int start, double tolerance,
                   int limit, bool elastic, nb::handle step_rule, const Model* model,
                   bool remembers) {
-  Options made{.method = method_of(method),
-               .criterion = largest ? Criterion::largest : Criterion::sum,
-               .start = start_of(start),
-               .tolerance = tolerance,
-               .limit = limit,
-               .elastic = elastic,
-               .remembers = remembers};
-  if (!step_rule.is_none()) made.step_rule = rule_of(step_rule);
-  if (model) made.model = std::make_shared<const Model>(*model);
-  new (self) Options(std::move(made));
+  Options options{.method = method_of(method),
+                  .criterion = largest ? Criterion::largest : Criterion::sum,
+                  .start = start_of(start),
+                  .tolerance = tolerance,
+                  .limit = limit,
+                  .elastic = elastic,
+                  .remembers = remembers};
+  if (!step_rule.is_none()) options.step_rule = rule_of(step_rule);
+  if (model) options.model = std::make_shared<const Model>(*model);
+  new (self) Options(std::move(options));
 }
 
 void make_request(OwnRequest* self, int start, nb::object force, nb::object previous,
                   double optimum, nb::object trace) {
-  OwnRequest made{.force = force, .previous = previous, .trace = trace};
-  made.request.start = start_of(start);
-  made.request.optimum = optimum;
+  OwnRequest own{.force = force, .previous = previous, .trace = trace};
+  own.request.start = start_of(start);
+  own.request.optimum = optimum;
   if (!force.is_none()) {
     const Numbers given = in(force, -1, 3);
-    made.request.force = {given.data(), std::size_t(3 * given.length(0))};
+    own.request.force = {given.data(), std::size_t(3 * given.length(0))};
   }
-  if (!previous.is_none()) made.request.previous = row_of(previous);
+  if (!previous.is_none()) own.request.previous = row_of(previous);
   if (!trace.is_none()) {
     const Numbers values = out(trace, -1);
-    made.request.trace = {values.data(), std::size_t(values.length(0))};
+    own.request.trace = {values.data(), std::size_t(values.length(0))};
   }
-  new (self) OwnRequest(std::move(made));
+  new (self) OwnRequest(std::move(own));
 }
 
 }  // namespace

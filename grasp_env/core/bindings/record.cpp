@@ -47,10 +47,10 @@ nb::typed<nb::dict, nb::str, int> codes() {
 }
 
 nb::typed<nb::tuple, int, nb::ellipsis> codes_with_a_force() {
-  nb::list made;
+  nb::list codes;
   for (int code = 0; code <= int(grasp::STARTED); ++code)
-    if (grasp::Record::has_force(grasp::Code(code))) made.append(code);
-  return nb::tuple(made);
+    if (grasp::Record::has_force(grasp::Code(code))) codes.append(code);
+  return nb::tuple(codes);
 }
 
 }  // namespace

@@ -16,9 +16,9 @@ namespace {
 
 // Item k of a tuple, borrowed; throws for anything else and for a short tuple.
 PyObject* item(PyObject* tuple, Py_ssize_t k) {
-  PyObject* found = PyTuple_GetItem(tuple, k);
-  if (!found) throw nb::python_error();
-  return found;
+  PyObject* result = PyTuple_GetItem(tuple, k);
+  if (!result) throw nb::python_error();
+  return result;
 }
 double number(PyObject* object) {
   const double value = PyFloat_AsDouble(object);
@@ -44,10 +44,10 @@ struct Answers {
     const Py_ssize_t rows = PyTuple_Size(contacts.ptr());
     if (count < 0 || rows < 0) throw nb::python_error();
     const npy_intp size = Reading::size(int(count), int(rows));
-    nb::object made = nb::steal(PyArray_SimpleNew(1, &size, NPY_DOUBLE));
-    if (!made) throw nb::python_error();
+    nb::object reading = nb::steal(PyArray_SimpleNew(1, &size, NPY_DOUBLE));
+    if (!reading) throw nb::python_error();
     double* numbers =
-        static_cast<double*>(PyArray_DATA(reinterpret_cast<PyArrayObject*>(made.ptr())));
+        static_cast<double*>(PyArray_DATA(reinterpret_cast<PyArrayObject*>(reading.ptr())));
     for (Py_ssize_t j = 0; j < count; ++j) {
       PyObject* row = item(joints.ptr(), j);
       numbers[j] = number(item(row, 0));
@@ -70,7 +70,7 @@ struct Answers {
         total += number(item(row, amount)) * vector(item(row, direction));
       next->force = factor * total;
     }
-    return made;
+    return reading;
   }
 };
 

@@ -48,12 +48,12 @@ bool is_record(PyObject* object) {
   return code <= grasp::UNDECIDED && code != grasp::REFUSED && code != grasp::RANK_LOST;
 }
 
-PyObject* made_of(PyTypeObject* type, PyObject* record, PyObject* names, PyObject* trace) {
-  Solution* made = reinterpret_cast<Solution*>(PyType_GenericAlloc(type, 0));
-  if (!made) return nullptr;
-  PyObject* given[] = {record, names, trace};
-  for (int k = 0; k < 3; ++k) made->*FIELDS[k] = Py_NewRef(given[k]);
-  return reinterpret_cast<PyObject*>(made);
+PyObject* new_of(PyTypeObject* type, PyObject* record, PyObject* names, PyObject* trace) {
+  Solution* solution = reinterpret_cast<Solution*>(PyType_GenericAlloc(type, 0));
+  if (!solution) return nullptr;
+  PyObject* values[] = {record, names, trace};
+  for (int k = 0; k < 3; ++k) solution->*FIELDS[k] = Py_NewRef(values[k]);
+  return reinterpret_cast<PyObject*>(solution);
 }
 
 PyObject* make(PyTypeObject* type, PyObject* arguments, PyObject* named) {
@@ -72,7 +72,7 @@ PyObject* make(PyTypeObject* type, PyObject* arguments, PyObject* named) {
       return nullptr;
     }
   }
-  return made_of(type, record, names, trace);
+  return new_of(type, record, names, trace);
 }
 
 void drop(PyObject* self) {
@@ -88,13 +88,13 @@ PyObject* view(PyObject* self, Py_ssize_t first, int axes, const npy_intp* shape
   PyArrayObject* record = array(reinterpret_cast<Solution*>(self)->record);
   PyArray_Descr* type = PyArray_DESCR(record);
   Py_INCREF(reinterpret_cast<PyObject*>(type));
-  PyObject* made = PyArray_NewFromDescr(&PyArray_Type, type, axes, shape, nullptr,
-                                        static_cast<double*>(PyArray_DATA(record)) + first,
-                                        NPY_ARRAY_CARRAY_RO, nullptr);
-  if (!made) return nullptr;
-  if (PyArray_SetBaseObject(array(made), Py_NewRef(reinterpret_cast<PyObject*>(record))) < 0)
-    Py_CLEAR(made);
-  return made;
+  PyObject* result = PyArray_NewFromDescr(&PyArray_Type, type, axes, shape, nullptr,
+                                          static_cast<double*>(PyArray_DATA(record)) + first,
+                                          NPY_ARRAY_CARRAY_RO, nullptr);
+  if (!result) return nullptr;
+  if (PyArray_SetBaseObject(array(result), Py_NewRef(reinterpret_cast<PyObject*>(record))) < 0)
+    Py_CLEAR(result);
+  return result;
 }
 grasp::Record record(PyObject* self) {
   return grasp::Record(
@@ -127,7 +127,7 @@ PyObject* torques(PyObject* self, void*) {
   const npy_intp many = npy_intp(record(self).summary().joints);
   return view(self, SUMMARY + 16 * count(self), 1, &many);
 }
-PyObject* prices(PyObject* self, void*) {
+PyObject* limit_multipliers(PyObject* self, void*) {
   const grasp::Record row = record(self);
   const grasp::Summary& s = row.summary();
   const npy_intp many = int(s.code) == grasp::LIMITS_EXCEEDED ? 0 : npy_intp(s.limits);
@@ -135,11 +135,11 @@ PyObject* prices(PyObject* self, void*) {
 }
 PyObject* object_force(PyObject* self, void*) {
   const npy_intp shape[] = {count(self), 3};
-  PyObject* made = PyArray_SimpleNew(2, shape, NPY_DOUBLE);
-  if (!made) return nullptr;
+  PyObject* result = PyArray_SimpleNew(2, shape, NPY_DOUBLE);
+  if (!result) return nullptr;
   for (int i = 0; i < int(shape[0]); ++i)
-    record(self).object_force(i, static_cast<double*>(PyArray_DATA(array(made))) + 3 * i);
-  return made;
+    record(self).object_force(i, static_cast<double*>(PyArray_DATA(array(result))) + 3 * i);
+  return result;
 }
 template <double grasp::Summary::* field> PyObject* number(PyObject* self, void*) {
   return PyFloat_FromDouble(record(self).summary().*field);
@@ -203,8 +203,8 @@ PyGetSetDef read[] = {
      "(J,) [N m] torques of the joints with torque limits, including the torque bias; empty "
      "without such limits.",
      nullptr},
-    {"limit_multipliers", prices, nullptr,
-     "(M,) >= 0 prices of the limits, in the order of `ForceOptimizer.limit_labels`; for "
+    {"limit_multipliers", limit_multipliers, nullptr,
+     "(M,) >= 0 multipliers of the limits, in the order of `ForceOptimizer.limit_labels`; for "
      "INFEASIBLE those of the proof;\n"
      "otherwise empty.",
      nullptr},
@@ -241,7 +241,7 @@ PyType_Spec spec{"grasp_env.core._core.Solution", sizeof(Solution), 0,
 }  // namespace
 
 PyObject* new_solution(PyObject* kind, PyObject* record, PyObject* names) {
-  return made_of(reinterpret_cast<PyTypeObject*>(kind), record, names, empty_array);
+  return new_of(reinterpret_cast<PyTypeObject*>(kind), record, names, empty_array);
 }
 bool is_solution_class(nb::handle kind) {
   return PyType_Check(kind.ptr()) &&

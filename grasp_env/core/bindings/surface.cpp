@@ -59,8 +59,8 @@ Surface mesh(nb::handle corners, nb::handle faces, const std::vector<nb::object>
 
 nb::typed<nb::tuple, nb::ndarray<>, nb::ndarray<>, double> nearest(const Surface& surface,
                                                                    nb::handle center) {
-  const Nearest found = surface.nearest(point(in(center, 3).data()));
-  return nb::make_tuple(array_of(found.point), array_of(found.inward), found.distance);
+  const Nearest nearest = surface.nearest(point(in(center, 3).data()));
+  return nb::make_tuple(array_of(nearest.point), array_of(nearest.inward), nearest.distance);
 }
 
 }  // namespace

@@ -26,10 +26,10 @@ struct ExchangeApi {
     PyObject* const capsule = PyObject_GetAttrString(
         reinterpret_cast<PyObject*>(Py_TYPE(object.ptr())), "__dlpack_c_exchange_api__");
     // lives as long as the process
-    void* const found = capsule ? PyCapsule_GetPointer(capsule, "dlpack_exchange_api") : nullptr;
+    void* const table = capsule ? PyCapsule_GetPointer(capsule, "dlpack_exchange_api") : nullptr;
     Py_XDECREF(capsule);
-    if (!found) PyErr_Clear();
-    const auto* const api = static_cast<const ExchangeApi*>(found);
+    if (!table) PyErr_Clear();
+    const auto* const api = static_cast<const ExchangeApi*>(table);
     return api && api->major == 1 && api->dltensor_from_object ? api : nullptr;
   }
 };
@@ -47,9 +47,9 @@ class Tensor {
     Row(Py_ssize_t first = 0, Py_ssize_t second = -1, Py_ssize_t third = -1)
         : lengths{first, second, third}, dimensions(1 + (second >= 0) + (third >= 0)) {}
     Py_ssize_t count() const {
-      Py_ssize_t made = 1;
-      for (int a = 0; a < dimensions; ++a) made *= lengths[a];
-      return made;
+      Py_ssize_t size = 1;
+      for (int a = 0; a < dimensions; ++a) size *= lengths[a];
+      return size;
     }
   };
 
@@ -179,10 +179,10 @@ class Tensor {
     return true;
   }
   double at(Py_ssize_t place) const {
-    const auto read = [&](auto made) {
-      std::memcpy(&made, static_cast<const char*>(data_) + place * Py_ssize_t(sizeof(made)),
-                  sizeof(made));
-      return double(made);
+    const auto read = [&](auto number) {
+      std::memcpy(&number, static_cast<const char*>(data_) + place * Py_ssize_t(sizeof(number)),
+                  sizeof(number));
+      return double(number);
     };
     return float32 ? read(float()) : read(double());
   }

@@ -55,29 +55,29 @@ std::shared_ptr<Tree> load(nb::bytes bytes) {
 
 // The posture at angles (M,).
 Posture posture(const std::shared_ptr<Tree>& tree, nb::handle angles) {
-  Posture made(tree);
-  made.trace(in(angles, tree->joints()).data());
-  return made;
+  Posture result(tree);
+  result.trace(in(angles, tree->joints()).data());
+  return result;
 }
 
 void trace(const std::shared_ptr<Tree>& tree, nb::handle angles, nb::handle rotations,
            nb::handle origins) {
-  const Posture made = posture(tree, angles);
+  const Posture at = posture(tree, angles);
   const int count = tree->joints();
   double* r = out(rotations, count, 3, 3).data();
   double* o = out(origins, count, 3).data();
   for (int j = 0; j < count; ++j)
     for (int k = 0; k < 3; ++k) {
-      o[3 * j + k] = made.origins[j][k];
-      for (int c = 0; c < 3; ++c) r[9 * j + 3 * k + c] = made.frames[j].rows[k][c];
+      o[3 * j + k] = at.origins[j][k];
+      for (int c = 0; c < 3; ++c) r[9 * j + 3 * k + c] = at.frames[j].rows[k][c];
     }
 }
 
 void tips(const std::shared_ptr<Tree>& tree, nb::handle angles, nb::handle centers) {
-  const Posture made = posture(tree, angles);
+  const Posture at = posture(tree, angles);
   double* to = out(centers, tree->fingers(), 3).data();
   for (int i = 0; i < tree->fingers(); ++i)
-    for (int k = 0; k < 3; ++k) to[3 * i + k] = made.tip(i)[k];
+    for (int k = 0; k < 3; ++k) to[3 * i + k] = at.tip(i)[k];
 }
 
 void jacobian(const std::shared_ptr<Tree>& tree, nb::handle angles, int link, nb::handle place,
@@ -110,10 +110,10 @@ void solve(Reach& reach, nb::handle targets, nb::handle starts, nb::handle angle
            nb::handle missed) {
   const int joints = reach.tree().joints();
   const int fingers = reach.tree().fingers();
-  const Numbers wanted = in(targets, fingers, 3);
+  const Numbers tips = in(targets, fingers, 3);
   const Numbers from = in(starts, -1, joints);
   std::vector<Point> places;
-  for (int i = 0; i < fingers; ++i) places.push_back(point(wanted.data() + 3 * i));
+  for (int i = 0; i < fingers; ++i) places.push_back(point(tips.data() + 3 * i));
   reach.solve(places.data(), from.data(), int(from.length(0)), out(angles, joints).data(),
               out(missed, reach.groups.size()).data());
 }

@@ -23,8 +23,8 @@ inline ReadOnly view(nb::handle owner, const double* numbers, std::initializer_l
   return ReadOnly(numbers, shape, owner);
 }
 inline ReadOnly kept(std::vector<double> numbers, std::initializer_list<size_t> shape) {
-  auto* made = new std::vector<double>(std::move(numbers));
-  return ReadOnly(made->data(), shape, nb::capsule(made, [](void* p) noexcept {
+  auto* values = new std::vector<double>(std::move(numbers));
+  return ReadOnly(values->data(), shape, nb::capsule(values, [](void* p) noexcept {
                     delete static_cast<std::vector<double>*>(p);
                   }));
 }

@@ -53,7 +53,7 @@ int main() {
       solution.object_force(i, v);
       for (int a = 0; a < 3; ++a)
         for (int j = 0; j < 3; ++j) torque[j] += LEVERS[a][j] * v[a];
-      for (double each : torque) most = std::max(most, std::abs(each));
+      for (double value : torque) most = std::max(most, std::abs(value));
     }
     std::this_thread::sleep_until(next += std::chrono::milliseconds(1));
   }

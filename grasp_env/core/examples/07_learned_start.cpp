@@ -12,8 +12,8 @@
 constexpr double POSITIONS[] = {0, 0, -0.05, 0, 0.03, 0.05, -0.03, -0.02, 0.05, 0.03, -0.02, 0.05};
 constexpr double NORMALS[] = {0, 0, 1, 0, 0, -1, 0, 0, -1, 0, 0, -1};
 
-int main(int given, char** arguments) try {
-  if (given < 2) throw std::invalid_argument("usage: 07_learned_start MODEL");
+int main(int count, char** arguments) try {
+  if (count < 2) throw std::invalid_argument("usage: 07_learned_start MODEL");
   const auto contacts = grasp::Contacts::from(POSITIONS, NORMALS, 0.4);
   // a damaged file is refused
   const auto model = std::make_shared<const grasp::Model>(grasp::ModelFile::load(arguments[1]));

@@ -17,10 +17,10 @@ int main() {
   const auto contacts = grasp::Contacts::from(POSITIONS, NORMALS, 0.4);
   std::vector<double> least(AROUND * UP);  // sum of normal forces [N] for 5 N in each direction
   const auto begin = std::chrono::steady_clock::now();
-  const auto work = [&](int part) {
+  const auto work = [&](int thread) {
     // one per thread; nothing is shared
     grasp::ForceOptimizer solver({contacts}, {.method = grasp::Method::conic});
-    for (int k = part; k < AROUND * UP; k += THREADS) {
+    for (int k = thread; k < AROUND * UP; k += THREADS) {
       const double azimuth = (k % AROUND - 180) * std::numbers::pi / 180;
       const double elevation = (k / AROUND - 84) * std::numbers::pi / 180;
       const double flat = 5 * std::cos(elevation);
@@ -31,15 +31,15 @@ int main() {
     }
   };
   std::vector<std::thread> threads;
-  for (int part = 0; part < THREADS; ++part) threads.emplace_back(work, part);
+  for (int thread = 0; thread < THREADS; ++thread) threads.emplace_back(work, thread);
   for (auto& thread : threads) thread.join();
   const double took =
       std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
 
   double sum = 0, most = 0;
-  for (double each : least) {
-    sum += each;
-    most = std::max(most, each);
+  for (double force : least) {
+    sum += force;
+    most = std::max(most, force);
   }
   std::printf("%zu wrenches on one grasp, %.2f million a second\n", least.size(),
               1e-6 * double(least.size()) / took);

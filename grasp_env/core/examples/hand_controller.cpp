@@ -9,8 +9,8 @@
 #include <poll.h>
 #include <sys/socket.h>
 
-int main(int given, char** arguments) try {
-  if (given != 5)
+int main(int count, char** arguments) try {
+  if (count != 5)
     return std::fprintf(stderr, "usage: hand_controller FD HAND_FILE RATE FRICTION\n"), 2;
   const int channel = std::atoi(arguments[1]);
   const auto hand = grasp::TreeFile::load(arguments[2]);

@@ -188,22 +188,22 @@ class HandController {
       pushes_[k] = now_.touching[k / 3] != 0.0 ? 0.0 : s_.push * now_.normals[k];
     push(pushes_, wanted_);
     const grasp::Changes contacts{now_.positions, now_.normals, {}, jacobian_, wanted_, touching};
-    const grasp::Record* found =
+    const grasp::Record* record =
         now_.age[0] <= s_.stale ? &solver_->solve(grasp::Wrench(now_.wrench), contacts) : nullptr;
     Status balance = holding;
     // a single fingertip does not stop an object from turning
     const bool several = std::popcount(touching) > 1;
-    if (found && !found->has_force() && several)
+    if (record && !record->has_force() && several)
       if (const auto rest = solver_->within_reach(grasp::Wrench(now_.wrench), contacts)) {
-        found = &solver_->solve(*rest, contacts);
+        record = &solver_->solve(*rest, contacts);
         balance = pivoting;
       }
-    if (found && found->has_force()) {
+    if (record && record->has_force()) {
       blind_ = 0.0;
-      status = found->code() == grasp::LIMITS_EXCEEDED ? overloaded : balance;
-      for (int i = 0; i < n_; ++i) found->object_force(i, &forces_[3 * i]);
+      status = record->code() == grasp::LIMITS_EXCEEDED ? overloaded : balance;
+      for (int i = 0; i < n_; ++i) record->object_force(i, &forces_[3 * i]);
       for (int k = 0; k < 3 * n_; ++k) forces_[k] += pushes_[k];
-      std::copy_n(found->torques(), m_, wanted_.begin());
+      std::copy_n(record->torques(), m_, wanted_.begin());
     } else {
       // The object was in balance a moment ago, so the same forces hold it until contacts move or
       // the load changes. After that, a hand without knowledge of its contacts must not keep

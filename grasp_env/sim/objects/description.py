@@ -195,18 +195,18 @@ class ObjectDescription(Settings):
         )
         check_extent(self.extent, self.shape, f"sizes are in metres{scale}", "sizes are in metres")
 
-    def replaced(self, given: Mapping[str, Any], path: str = "") -> ObjectDescription:
+    def replaced(self, changes: Mapping[str, Any], path: str = "") -> ObjectDescription:
         """Return a copy with some settings replaced.
 
-        Another shape gets its default size and no mesh, unless they are given.
+        Another shape gets its default size and no mesh, unless they are among them.
 
         Args:
-            given: Settings by name.
+            changes: Settings by name.
             path: Path of the object's settings, for messages.
         """
-        if given.get("shape") not in (None, self.shape):
-            given = {"size": (), "mesh": None, **given}
-        return super().replaced(given, path)
+        if changes.get("shape") not in (None, self.shape):
+            changes = {"size": (), "mesh": None, **changes}
+        return super().replaced(changes, path)
 
     @property
     def extent(self) -> tuple[float, float, float]:

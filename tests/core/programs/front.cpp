@@ -28,7 +28,7 @@ void print(const char* name, const Record& record) {
   std::printf("\n");
 }
 // Codes of calls without a force; "!": a number behind the summary is not zero (a proof has
-// prices).
+// multipliers).
 class Ends {
  public:
   explicit Ends(const char* name) { std::printf("%s:", name); }
@@ -36,7 +36,7 @@ class Ends {
   void operator()(const Record& record) const {
     const Summary& s = record.summary();
     const double* from = record.force();
-    const double* to = record.prices();
+    const double* to = record.limit_multipliers();
     const bool zeros = std::all_of(from, to, [](double v) { return v == 0.0; });
     std::printf(" %d%s", record.code(),
                 record.has_force() || (zeros && s.margin == 0.0) ? "" : "!");

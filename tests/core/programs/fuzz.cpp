@@ -104,16 +104,17 @@ void check(const Given& g, const double* wrench, const Options& options, const R
   const bool inner = options.method != Method::conic;  // the method stays strictly inside the cones
   require(s.code >= double(CONVERGED) && s.code <= double(STARTED), "no code", record, s.code);
   require(record.contacts() == n && int(s.joints) == g.joints, "sizes", record, s.contacts);
-  const double* end = record.prices() + int(s.limits);
+  const double* end = record.limit_multipliers() + int(s.limits);
   if (!record.has_force() && code != STARTED) {
-    for (const double* v = record.force(); v < (code == INFEASIBLE ? record.prices() : end);
-         ++v)  // a proof has prices
+    for (const double* v = record.force();
+         v < (code == INFEASIBLE ? record.limit_multipliers() : end);
+         ++v)  // a proof has multipliers
       require(*v == 0.0, "no force, but numbers", record, *v);
     return;
   }
   for (const double* v = record.force(); v < end; ++v)
     require(std::abs(*v) < infinity, "no number", record, *v);
-  for (const double* v = record.prices(); v < end; ++v)
+  for (const double* v = record.limit_multipliers(); v < end; ++v)
     require(*v >= 0.0, "a price below zero", record, *v);
 
   const auto [centre, spread] = g.around();
@@ -366,8 +367,10 @@ int main(int given, char** arguments) {
   const long count = std::atol(arguments[2]);
   std::vector<std::uint8_t> bytes(2000);
   for (long k = 0; k < count; ++k) {
-    for (std::uint8_t& byte : bytes)
-      state = state * 6364136223846793005u + 1442695040888963407u, byte = std::uint8_t(state >> 56);
+    for (std::uint8_t& byte : bytes) {
+      state = state * 6364136223846793005u + 1442695040888963407u;
+      byte = std::uint8_t(state >> 56);
+    }
     LLVMFuzzerTestOneInput(bytes.data(), bytes.size());
   }
   std::printf("%ld\n", count);

@@ -64,8 +64,8 @@ struct Summary {
 inline constexpr int SUMMARY = sizeof(Summary) / sizeof(double);
 
 // A row: the summary, then force (N, 3), initial force (N, 3) [N], torsion (N,) [N m]. A row of
-// `ForceOptimizer` continues with frames (N, 3, 3), joint torques (J,) [N m] and prices of limits
-// (M,).
+// `ForceOptimizer` continues with frames (N, 3, 3), joint torques (J,) [N m] and multipliers of
+// limits (M,).
 constexpr int record_size(int contacts) { return SUMMARY + 7 * contacts; }
 constexpr int record_size(int contacts, int joints, int limits) {
   return SUMMARY + 16 * contacts + joints + limits;
@@ -102,8 +102,8 @@ class Record {
     return force() + 16 * count_;
   }  // (J,) [N m], including the torque bias
   // Multipliers of the limits A f <= b, (M,) >= 0. INFEASIBLE: with the twist v they are the proof:
-  // G^T v + A^T prices lies in every dual cone, and v . w > prices . b.
-  double* prices() const { return torques() + int(summary().joints); }
+  // G^T v + A^T limit_multipliers lies in every dual cone, and v . w > limit_multipliers . b.
+  double* limit_multipliers() const { return torques() + int(summary().joints); }
   void clear() const { std::fill(row_, row_ + record_size(count_), 0.0); }
   // Record INFEASIBLE: no force, and the twist that proves it in place of the multipliers. missed:
   // size of the wrench in the unit frame [N], which becomes the residual.

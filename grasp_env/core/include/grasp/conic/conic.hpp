@@ -229,19 +229,19 @@ template <class V, int B> class ConicSolver : public ConicSteps<V, B> {
 
   // Write force and certificates; return the gap.
   double certify(const UnitWrench& posed, const Record& record) {
-    auto made = this->answer(posed.minus, posed.scale, force_);
+    auto bounded = this->answer(posed.minus, posed.scale, force_);
     for (int b = 0; b < blocks(); ++b) first_[b] = all<V>(posed.scale) * at[b].first;
     cones.store_force(first_, record.initial_force());
     cones.certify(force_, posed.unit, record);
     Summary& out = record.summary();
     if (!(out.margin >= 0.0)) {
       move_inside(posed.unit, record);
-      made.price = this->price_of(force_);
+      bounded.price = this->price_of(force_);
     }
-    out.multipliers = cones.unit.pull_back(made.theta * y);
-    out.lower_bound = made.bound;
-    out.objective = made.price;
-    return cones.balanced(force_, posed.unit, out.residual) ? made.gap() : infinity;
+    out.multipliers = cones.unit.pull_back(bounded.theta * y);
+    out.lower_bound = bounded.bound;
+    out.objective = bounded.price;
+    return cones.balanced(force_, posed.unit, out.residual) ? bounded.gap() : infinity;
   }
   // If rounding left a force outside a cone, move it towards the start, which is well inside.
   [[gnu::cold, gnu::noinline]] void move_inside(const Vec6& unit, const Record& record) {

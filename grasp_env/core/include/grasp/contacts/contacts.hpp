@@ -130,10 +130,10 @@ class Contacts {
     require(gamma.empty() || gamma.size() == count,
             "torsion must be one number of each contact, or none");
     require(is_in_range(gamma), "torsion must be 0 to 1e12");
-    Contacts made(int(count), friction, objective, along.empty() ? nullptr : along.data(),
-                  gamma.empty() ? nullptr : gamma.data());
-    made.place_or_throw(positions.data(), normals.data());
-    return made;
+    Contacts contacts(int(count), friction, objective, along.empty() ? nullptr : along.data(),
+                      gamma.empty() ? nullptr : gamma.data());
+    contacts.place_or_throw(positions.data(), normals.data());
+    return contacts;
   }
   static Contacts from(std::span<const double> positions, std::span<const double> normals,
                        double friction, const Objective& objective = {}) {
@@ -146,9 +146,9 @@ class Contacts {
     for (int j = 0; j < 3 * count; ++j)
       require(scales[j] >= 0.0 && scales[j] < infinity && (j % 3 != 0 || scales[j] > 0.0),
               "scale must be finite and >= 0, that of normals > 0");
-    Contacts made(count, scales, weights, along);
-    made.place_or_throw(positions, normals);
-    return made;
+    Contacts contacts(count, scales, weights, along);
+    contacts.place_or_throw(positions, normals);
+    return contacts;
   }
 
   // Replace the friction, given as for the constructor, from the next `place` on. chosen: indices
@@ -163,8 +163,8 @@ class Contacts {
       const bool two = given == 2 * all;
       const double mu_o = friction[two ? 2 * i : given == 1 ? 0 : i];
       const double mu_t = two ? friction[2 * i + 1] : mu_o;
-      const Point made = cone_scale(mu_o, mu_t);
-      for (int a = 0; a < 3; ++a) scale[3 * k + a] = made[a];
+      const Point one = cone_scale(mu_o, mu_t);
+      for (int a = 0; a < 3; ++a) scale[3 * k + a] = one[a];
     }
     update_divisors();
   }
@@ -223,10 +223,10 @@ class Contacts {
     if (!good) return placing = Placing::refused;
     unit = around;
     for (int i = 0; i < count; ++i) {
-      const Point made = normalised(point(inward + 3 * i));
+      const Point normal = normalised(point(inward + 3 * i));
       for (int a = 0; a < 3; ++a) {
         positions[3 * i + a] = at[3 * i + a];
-        normals[3 * i + a] = made[a];
+        normals[3 * i + a] = normal[a];
       }
     }
     const int size = 3 * count;
@@ -239,12 +239,12 @@ class Contacts {
       const Point arm = per_length * (from - unit.centre);
       for (int a = 0; a < 3; ++a) {
         const int j = 3 * i + a;
-        const Vec6 made = unit_wrench(from, frame[a]);
+        const Vec6 column = unit_wrench(from, frame[a]);
         const Vec6 row = used_[j] * unit_wrench(arm, frame[a]);
         add_gram(s, row);
-        for (int r = 0; r < 3; ++r) frames[9 * i + 3 * r + a] = made[r];
-        set_column(matrix.data(), size, j, made);
-        set_column(cone_matrix.data(), size, j, per_[j] * made);
+        for (int r = 0; r < 3; ++r) frames[9 * i + 3 * r + a] = column[r];
+        set_column(matrix.data(), size, j, column);
+        set_column(cone_matrix.data(), size, j, per_[j] * column);
         set_column(force_rows.data(), size, j, row);
         set_column(rows.data(), size, j, per_[j] * row);
       }
@@ -353,13 +353,13 @@ class Contacts {
   }
   // Find the reach from the columns in work_.
   void find_reach(int columns) {
-    const JacobiRotations found(work_, columns);
+    const JacobiRotations rotations(work_, columns);
     int first = 0, last = 6;
     for (int r = 0; r < 6; ++r) {
       const bool spanned =
-          found.value[r] > 0.0 && found.value[r] >= JacobiRotations::RANK * found.most;
+          rotations.value[r] > 0.0 && rotations.value[r] >= JacobiRotations::RANK * rotations.most;
       Vec6& axis = reach.axes[spanned ? first++ : --last];
-      std::copy_n(found.turn[r], 6, axis.begin());
+      std::copy_n(rotations.turn[r], 6, axis.begin());
     }
     reach.rank = first;
     if (!reach.full()) reach.rounding = ROUNDED_PLACES * (1.0 + unit.scale() * length(unit.centre));
@@ -393,14 +393,15 @@ class Contacts {
         }
       return clear = true;
     }
-    JacobiRotations found(work_, size);
-    if (!found.spans()) return false;
-    found.normalise();
+    JacobiRotations rotations(work_, size);
+    if (!rotations.spans()) return false;
+    rotations.normalise();
     for (int j = 0; j < size; ++j)
       for (int q = 0; q < 6; ++q) {
-        double made = 0.0;
-        for (int r = 0; r < 6; ++r) made += work_[size * r + j] * found.turn[r][q] / found.value[r];
-        inverse[6 * j + q] = made * scale[j];
+        double sum = 0.0;
+        for (int r = 0; r < 6; ++r)
+          sum += work_[size * r + j] * rotations.turn[r][q] / rotations.value[r];
+        inverse[6 * j + q] = sum * scale[j];
       }
     return true;
   }

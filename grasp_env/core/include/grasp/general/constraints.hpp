@@ -107,12 +107,12 @@ template <int D> struct Constraints {
   // the share r of the wrench.
   template <class R, int T>
   InteriorPoint<R, D, T> engine(int many, Criterion criterion = Criterion::sum) const {
-    InteriorPoint<R, D, T> made(rows<R, T>(many, criterion), soft);
-    if constexpr (T == 1) made.shared_cost = {R(1.0)};
-    if constexpr (T == 2) made.shared_cost = {R(-1.0), R(0.0)};
+    InteriorPoint<R, D, T> engine(rows<R, T>(many, criterion), soft);
+    if constexpr (T == 1) engine.shared_cost = {R(1.0)};
+    if constexpr (T == 2) engine.shared_cost = {R(-1.0), R(0.0)};
     if constexpr (T == 0)
-      for (int i = 0; i < count; ++i) made.cost[i][0] = cost[i];
-    return made;
+      for (int i = 0; i < count; ++i) engine.cost[i][0] = cost[i];
+    return engine;
   }
   // (1, 0, 0, 1): the direction into a cone.
   static Tuple<double, D> inwards() {

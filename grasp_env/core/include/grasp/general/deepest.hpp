@@ -43,7 +43,7 @@ template <int D> class Depth {
   using Field = typename Constraints<D>::Field;
 
   Depth(const Constraints<D>& in, int many)
-      : in_(&in), many_(many), slacks_(in.slacks()), prices_(in.limits) {}
+      : in_(&in), many_(many), slacks_(in.slacks()), multipliers_(in.limits) {}
 
   // Write the force into z [N]. If CONVERGED, it is strictly inside and balances `wrench` of the
   // result, which differs from the given one by at most BOUNDARY of it. inside: true if a force
@@ -51,7 +51,7 @@ template <int D> class Depth {
   Deepest find(const double* wrench, double tolerance, Field& z, bool inside = false);
   // Prices of the limits if no force is inside. With the twist v they prove it: G^T v + sum price
   // row lies in every dual cone, v . w > sum price bound.
-  const ArenaVector<double>& prices() const { return prices_; }
+  const ArenaVector<double>& multipliers() const { return multipliers_; }
 
  private:
   // of the terms of a proof, per term: far above rounding
@@ -68,7 +68,7 @@ template <int D> class Depth {
   static constexpr double SHORT = 0.9;
   const Constraints<D>* in_;
   int many_;
-  ArenaVector<double> slacks_, prices_;
+  ArenaVector<double> slacks_, multipliers_;
 
   template <class R> Deepest find(const double* wrench, double tolerance, Field& z) {
     const Arena::Scope scope;
@@ -89,17 +89,17 @@ template <int D> class Depth {
     const Vec6 turned = in_->solve_lower(unit);
     set_up(engine, turned, size);
     const auto& at = engine.at;
-    Deepest found;
-    std::copy_n(wrench, 6, found.wrench.begin());
-    found.code = engine.run(tolerance, (std::is_same_v<R, double> ? 0.1 : 1e-5) * CLEAR, 0.0, 200,
-                            [] { return 0.0; });
-    found.iterations = engine.iterations;
-    found.margin = double(at.t[0]);
+    Deepest result;
+    std::copy_n(wrench, 6, result.wrench.begin());
+    result.code = engine.run(tolerance, (std::is_same_v<R, double> ? 0.1 : 1e-5) * CLEAR, 0.0, 200,
+                             [] { return 0.0; });
+    result.iterations = engine.iterations;
+    result.margin = double(at.t[0]);
     const double part = double(at.t[1]);
     const double scale = free ? 1.0 : 1.0 / part;
     for (int i = 0; i < in_->count; ++i) {
       z[i] = narrow(at.z[i]);
-      add(z[i], found.margin, in_->inwards());
+      add(z[i], result.margin, in_->inwards());
       if (D == 4 && !in_->soft[i]) z[i][D - 1] = 1.0;
       for (double& value : z[i]) value *= scale;
     }
@@ -111,30 +111,30 @@ template <int D> class Depth {
     y = in_->solve_upper(y);
     const Vec6 twist = in_->out_of_frame(y);
     const double per = 1.0 / std::max(grasp::size(twist), 1e-300);
-    found.twist = per * twist;
+    result.twist = per * twist;
     price(engine, size);
-    drop_needless_prices(y, size);
+    drop_needless_multipliers(y, size);
     const bool at_rest = !(grasp::size(load) > 0.0);
     const bool proven = proves_infeasible(y, unit, size);
-    const bool shut = at_rest && found.code == CONVERGED && found.margin <= CLEAR;
-    if (found.margin > CLEAR && least_slack(z) > 0.0) {
-      found.code = CONVERGED;
+    const bool shut = at_rest && result.code == CONVERGED && result.margin <= CLEAR;
+    if (result.margin > CLEAR && least_slack(z) > 0.0) {
+      result.code = CONVERGED;
     } else if (shut) {
-      found.code = INFEASIBLE;
+      result.code = INFEASIBLE;
     } else if (proven && separation(y, unit, size) > BOUNDARY) {
-      found.code = INFEASIBLE;
-      found.margin = std::min(found.margin, 0.0);
-    } else if (!at_rest && part > 0.0 && move_inside(load, z, found)) {
-      found.code = CONVERGED;
-      found.margin = std::max(found.margin, 0.0);
+      result.code = INFEASIBLE;
+      result.margin = std::min(result.margin, 0.0);
+    } else if (!at_rest && part > 0.0 && move_inside(load, z, result)) {
+      result.code = CONVERGED;
+      result.margin = std::max(result.margin, 0.0);
     } else if (proven && !std::is_same_v<R, double>) {
-      found.code = INFEASIBLE;
-      found.margin = std::min(found.margin, 0.0);
-    } else if (found.code == CONVERGED) {
-      found.code = STALLED;  // slow does not mean infeasible
+      result.code = INFEASIBLE;
+      result.margin = std::min(result.margin, 0.0);
+    } else if (result.code == CONVERGED) {
+      result.code = STALLED;  // slow does not mean infeasible
     }
-    for (double& price : prices_) price *= per;
-    return found;
+    for (double& price : multipliers_) price *= per;
+    return result;
   }
   // The proof that a wrench is out of reach: contacts move so little along this twist that forces
   // of up to SEEN times the wrench do not make up for it.
@@ -155,7 +155,7 @@ template <int D> class Depth {
         }
         moved = std::max(moved, std::abs(motion) + UNMOVED * terms);
       }
-    std::fill(prices_.begin(), prices_.end(), 0.0);
+    std::fill(multipliers_.begin(), multipliers_.end(), 0.0);
     std::copy_n(wrench, 6, found.wrench.begin());
     const Vec6 twist = in_->out_of_frame(y);
     found.twist = (1.0 / grasp::size(twist)) * twist;
@@ -166,17 +166,19 @@ template <int D> class Depth {
     in_->write_slacks(z, many_, slacks_, [&](int k) { return in_->bound[k]; });
     return least_of(slacks_);
   }
-  // Drop prices of limits that are mere rounding beside the twist: the proof holds without them.
-  void drop_needless_prices(const Vec6& y, double size) {
+  // Drop multipliers of limits that are mere rounding beside the twist: the proof holds without
+  // them.
+  void drop_needless_multipliers(const Vec6& y, double size) {
     for (int k = in_->torsions; k < many_; ++k)
-      if (prices_[k] * std::max(1.0, std::abs(in_->bound[k]) / size) < NEEDLESS * grasp::size(y))
-        prices_[k] = 0.0;
+      if (multipliers_[k] * std::max(1.0, std::abs(in_->bound[k]) / size) <
+          NEEDLESS * grasp::size(y))
+        multipliers_[k] = 0.0;
   }
   // Distance of the wrench from those that the constraints can balance, as the multipliers show it:
   // a fraction of the wrench.
   double separation(const Vec6& y, const Vec6& unit, double size) const {
     double value = dot(y, unit);
-    for (int k = 0; k < many_; ++k) value -= prices_[k] * in_->bound[k] / size;
+    for (int k = 0; k < many_; ++k) value -= multipliers_[k] * in_->bound[k] / size;
     return value / (sum_of_sizes(y) * grasp::size(unit));
   }
   // Move z, at the boundary of the constraints, towards a force well inside them. This changes the
@@ -224,10 +226,10 @@ template <int D> class Depth {
     const auto& rows = engine.rows;
     for (const auto& row : rows.own)
       if (row.label >= 0)
-        prices_[row.label] = row_scale(row.label, size) *
-                             std::max(double(engine.at.own[&row - rows.own.data()]), 0.0);
+        multipliers_[row.label] = row_scale(row.label, size) *
+                                  std::max(double(engine.at.own[&row - rows.own.data()]), 0.0);
     for (int r = rows.equal; r < rows.joint; ++r)
-      prices_[rows.label[r]] =
+      multipliers_[rows.label[r]] =
           row_scale(rows.label[r], size) * std::max(double(engine.at.joint[r]), 0.0);
   }
   // True if the twist y (unit frame) and the limits' multipliers prove that no force is within the
@@ -246,12 +248,12 @@ template <int D> class Depth {
         for (double value : row) terms += std::abs(part * value);
       };
       for (int r = 0; r < 6; ++r) take(y[r], in_->balance[r][i]);
-      for (int k = 0; k < many_; ++k) take(prices_[k], in_->limit[k][i]);
+      for (int k = 0; k < many_; ++k) take(multipliers_[k], in_->limit[k][i]);
       if (D == 4 && in_->soft[i] &&
           !(dual[D - 1] > rounding * terms)) {  // w has no cost: see `certify`
         const Tuple<double, D>& row = in_->limit[in_->torsion_row[i]][i];
         const double raised = (2.0 * rounding * terms - dual[D - 1]) / row[D - 1];
-        prices_[in_->torsion_row[i]] += raised;
+        multipliers_[in_->torsion_row[i]] += raised;
         take(raised, row);
       }
       const double room = slack(cone(dual));
@@ -265,7 +267,7 @@ template <int D> class Depth {
       terms += std::abs(part);
     };
     for (int r = 0; r < 6; ++r) take(y[r] * unit[r]);
-    for (int k = 0; k < many_; ++k) take(-prices_[k] * in_->bound[k] / size);
+    for (int k = 0; k < many_; ++k) take(-multipliers_[k] * in_->bound[k] / size);
     return value > rounding * terms + COVERED * lacking + SEEN * hidden && terms < infinity;
   }
   // Set up the program for a wrench, scaled to its size: the orthonormalised balance and every

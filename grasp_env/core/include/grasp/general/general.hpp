@@ -175,7 +175,7 @@ class General {
     const Record made(inputs_->record.data(), inputs_->count);
     const StopRule elastic{EXCESS_WITHIN, CONIC_ITERATIONS};
     if (least(before.wrench.data(), Criterion::excess, elastic, left, made) != LIMITS_EXCEEDED) {
-      deepest(before.wrench.data());  // restore the prices of the proof
+      deepest(before.wrench.data());  // restore the multipliers of the proof
       return record.code();
     }
     std::copy(made.force(), made.force() + 3 * inputs_->count, record.initial_force());
@@ -201,13 +201,13 @@ class General {
   }
 
   // Prices of the last `phi`, `phi_from` or `conic`, or of the proof if there is no force: one per
-  // given limit. `all_prices` begins with those of the limit torsion >= -friction * normal of each
-  // soft contact.
-  std::span<const double> all_prices() const {
-    return placed() ? inputs_->prices : std::span<const double>();
+  // given limit. `all_multipliers` begins with those of the limit torsion >= -friction * normal of
+  // each soft contact.
+  std::span<const double> all_multipliers() const {
+    return placed() ? inputs_->multipliers : std::span<const double>();
   }
-  std::span<const double> prices() const {
-    return all_prices().subspan(placed() ? inputs_->torsions : 0);
+  std::span<const double> multipliers() const {
+    return all_multipliers().subspan(placed() ? inputs_->torsions : 0);
   }
 
  private:
@@ -225,7 +225,7 @@ class General {
     int count, limits, torsions;
     ArenaVector<double> balance, rows, bound, shares, divisor;
     ArenaVector<double> sizes, weights, row_weights;  // (M,) divisors of the rows; weights of Phi
-    ArenaVector<double> z, row, record, prices, kept_prices;
+    ArenaVector<double> z, row, record, multipliers, kept_multipliers;
 
     Inputs(int count, int limits, int torsions)
         : count(count),
@@ -242,8 +242,8 @@ class General {
           z(4 * count),
           row(4 * count),
           record(record_size(count)),
-          prices(limits),
-          kept_prices(limits) {}
+          multipliers(limits),
+          kept_multipliers(limits) {}
     static std::size_t bytes_needed(int count, int limits) {
       return Arena::bytes_needed<double>(24 * count) +
              Arena::bytes_needed<double>(4 * std::size_t(count) * limits) +
@@ -363,23 +363,23 @@ class General {
   }
   Code least(const double* wrench, Criterion criterion, const StopRule& options, int budget,
              const Record& record) {
-    return unscale_prices(
-        program_->least(wrench, criterion, options, record, inputs_->prices.data(), budget));
+    return unscale_multipliers(
+        program_->least(wrench, criterion, options, record, inputs_->multipliers.data(), budget));
   }
   Code least_phi(const Call& call, const Record& record) {
     Inputs& inputs = *inputs_;
-    return unscale_prices(program_->least_phi(call, inputs.weights.data(),
-                                              inputs.row_weights.data(), inputs.z.data(), record,
-                                              inputs.prices.data()));
+    return unscale_multipliers(program_->least_phi(call, inputs.weights.data(),
+                                                   inputs.row_weights.data(), inputs.z.data(),
+                                                   record, inputs.multipliers.data()));
   }
-  Code unscale_prices(Code code) {
-    for (int k = 0; k < inputs_->limits; ++k) inputs_->prices[k] /= inputs_->sizes[k];
+  Code unscale_multipliers(Code code) {
+    for (int k = 0; k < inputs_->limits; ++k) inputs_->multipliers[k] /= inputs_->sizes[k];
     return code;
   }
   Deepest deepest(const double* wrench, double tolerance = 1e-7, bool inside = false) {
-    const Deepest found =
-        program_->deepest(wrench, tolerance, inputs_->z.data(), inputs_->prices.data(), inside);
-    unscale_prices(found.code);
+    const Deepest found = program_->deepest(wrench, tolerance, inputs_->z.data(),
+                                            inputs_->multipliers.data(), inside);
+    unscale_multipliers(found.code);
     return found;
   }
   // Find the deepest force, in z. For a nearly zero wrench, whose deepest force is far from the
@@ -416,7 +416,7 @@ class General {
   // otherwise the record stays.
   bool phi_inside(const Call& call, const Record& record) {
     if (call.optimum == call.optimum || call.traced || call.stop.limit <= 0) return false;
-    inputs_->kept_prices = inputs_->prices;
+    inputs_->kept_multipliers = inputs_->multipliers;
     const Deepest found = deepest(call.wrench, 1e-7, true);
     const Record made(inputs_->record.data(), inputs_->count);
     bool good = found.code == CONVERGED && found.moved;
@@ -428,7 +428,7 @@ class General {
     if (good)
       replace_record(made, record);
     else
-      inputs_->prices = inputs_->kept_prices;
+      inputs_->multipliers = inputs_->kept_multipliers;
     return good;
   }
   void stand_for(const Vec6& made, const Call& call, const Record& record) {
@@ -437,7 +437,8 @@ class General {
   }
   // Record the proof that no force exists, or UNDECIDED.
   Code refute(const Deepest& found, const double* wrench, const Record& record) {
-    if (found.code != INFEASIBLE) std::fill(inputs_->prices.begin(), inputs_->prices.end(), 0.0);
+    if (found.code != INFEASIBLE)
+      std::fill(inputs_->multipliers.begin(), inputs_->multipliers.end(), 0.0);
     record.clear();
     std::copy(wrench, wrench + 6, record.summary().wrench.begin());
     if (found.code == INFEASIBLE) return record.refute(found.twist, program_->unit_size(wrench));

@@ -14,10 +14,10 @@ namespace detail {
 // Not inline: a file that declares `extern template class ProgramOn<D>` compiles nothing of it.
 template <int D> Code ProgramOn<D>::least(const double* wrench, Criterion criterion,
                                           const StopRule& options, const Record& record,
-                                          double* prices, int budget) {
+                                          double* multipliers, int budget) {
   const Arena::Scope scope;
   record.clear();
-  std::fill(prices, prices + limits, 0.0);
+  std::fill(multipliers, multipliers + limits, 0.0);
   Summary& out = record.summary();
   out.code = REFUSED;
   if (!is_valid_wrench(wrench) || (criterion == Criterion::excess && !may_exceed_)) return REFUSED;
@@ -42,16 +42,16 @@ template <int D> Code ProgramOn<D>::least(const double* wrench, Criterion criter
   best_bound_ = 0.0;
   best_nu_ = Vec6{};
   residual_ = 0.0;
-  std::fill(best_prices_.begin(), best_prices_.end(), 0.0);
+  std::fill(best_multipliers_.begin(), best_multipliers_.end(), 0.0);
   has_inside_ = moved_ = false;
   const Code code =
       criterion == Criterion::sum ? solve<0>(wrench, options, out) : solve<1>(wrench, options, out);
   if (code == INFEASIBLE) {
-    std::copy(prices_.begin(), prices_.end(), prices);
+    std::copy(multipliers_.begin(), multipliers_.end(), multipliers);
     return record.refute(out.multipliers, size(load));
   }
   if (code == REFUSED) return code;
-  write(code, record, prices);
+  write(code, record, multipliers);
   if (moved_) {
     const double residual = grasp::size(size_ * in_.wrench_of(best_) + load);
     stand_for(record, in_.given(size_ * unit_), wrench, residual, options.tolerance);
@@ -60,24 +60,25 @@ template <int D> Code ProgramOn<D>::least(const double* wrench, Criterion criter
 }
 
 template <int D> Deepest ProgramOn<D>::deepest(const double* wrench, double tolerance, double* z,
-                                               double* prices, bool inside) {
+                                               double* multipliers, bool inside) {
   const Arena::Scope scope;
-  std::fill(prices, prices + limits, 0.0);
+  std::fill(multipliers, multipliers + limits, 0.0);
   Deepest found;
   if (!is_valid_wrench(wrench)) return found;
   Depth depth(in_, limits);
   found = depth.find(wrench, tolerance, inside_, inside);
-  if (found.code == INFEASIBLE) std::copy(depth.prices().begin(), depth.prices().end(), prices);
+  if (found.code == INFEASIBLE)
+    std::copy(depth.multipliers().begin(), depth.multipliers().end(), multipliers);
   store_z(inside_, z);
   return found;
 }
 
 template <int D> Code ProgramOn<D>::least_phi(const Call& call, const double* weights,
                                               const double* row_weights, const double* z,
-                                              const Record& record, double* prices) {
+                                              const Record& record, double* multipliers) {
   const Arena::Scope scope;
   record.clear();
-  std::fill(prices, prices + limits, 0.0);
+  std::fill(multipliers, multipliers + limits, 0.0);
   record.summary().code = REFUSED;
   if (!is_valid_wrench(call.wrench)) return REFUSED;
   std::copy(call.wrench, call.wrench + 6, record.summary().wrench.begin());
@@ -107,7 +108,7 @@ template <int D> Code ProgramOn<D>::least_phi(const Call& call, const double* we
   const auto written = [&](auto& engine, Code code) {
     engine.iterations = spent;
     engine.trials = trials;
-    return code == REFUSED ? code : write_phi(engine, code, call, record, prices);
+    return code == REFUSED ? code : write_phi(engine, code, call, record, multipliers);
   };
   const auto [tolerance, limit] = call.stop;
   PhiRows<double, D> quick(in_.template rows<double, 0>(limits), in_.soft, limits);
@@ -149,31 +150,32 @@ class Program {
                 : detail::ProgramOn<3>::bytes_needed(count, limits, joints);
   }
 
-  // Minimise a criterion, into a record, with prices (M,) >= 0 of the limits. INFEASIBLE: the
+  // Minimise a criterion, into a record, with multipliers (M,) >= 0 of the limits. INFEASIBLE: the
   // record's multipliers are the twist that proves it. REFUSED: numbers that are not finite, or
   // neither a force nor a proof was found. LIMITS_EXCEEDED: outcome for Criterion::excess, to
   // EXCESS_WITHIN. budget: iterations of all attempts together.
   Code least(const double* wrench, Criterion criterion, const StopRule& options,
-             const Record& record, double* prices, int budget = INT_MAX) {
+             const Record& record, double* multipliers, int budget = INT_MAX) {
     return std::visit(
-        [&](auto& on) { return on.least(wrench, criterion, options, record, prices, budget); },
+        [&](auto& on) { return on.least(wrench, criterion, options, record, multipliers, budget); },
         on_);
   }
   // Find z (N, 4) [N], the force of largest depth m in all cones and rows, where forces and the
-  // wrench's share r sum to one, m <= r. INFEASIBLE: prices (M,) are those of the limits in the
-  // proof.
-  Deepest deepest(const double* wrench, double tolerance, double* z, double* prices,
+  // wrench's share r sum to one, m <= r. INFEASIBLE: multipliers (M,) are those of the limits in
+  // the proof.
+  Deepest deepest(const double* wrench, double tolerance, double* z, double* multipliers,
                   bool inside = false) {
-    return std::visit([&](auto& on) { return on.deepest(wrench, tolerance, z, prices, inside); },
-                      on_);
+    return std::visit(
+        [&](auto& on) { return on.deepest(wrench, tolerance, z, multipliers, inside); }, on_);
   }
   // Minimise Phi from z (N, 4), balanced and strictly inside, into a record; weights (N, 2) omega
   // and lambda, row_weights (M,). Uses wrench, stop, optimum and trace of the call. REFUSED: no
   // such start.
   Code least_phi(const Call& call, const double* weights, const double* row_weights,
-                 const double* z, const Record& record, double* prices) {
+                 const double* z, const Record& record, double* multipliers) {
     return std::visit(
-        [&](auto& on) { return on.least_phi(call, weights, row_weights, z, record, prices); }, on_);
+        [&](auto& on) { return on.least_phi(call, weights, row_weights, z, record, multipliers); },
+        on_);
   }
   // Largest component of G z + w, z (N, 4), unit frame [N].
   double missed(const double* wrench, const double* z) {

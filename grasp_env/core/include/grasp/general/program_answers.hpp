@@ -53,16 +53,16 @@ inline void ProgramOn<D>::certify(const Interior<R, T>& engine) {
   double shares = 0.0;
   for (int k = 0; k < int(rows.own.size()); ++k) {
     if (rows.own[k].label >= 0)
-      prices_[rows.own[k].label] = std::max(double(at.own[k]), 0.0);
+      multipliers_[rows.own[k].label] = std::max(double(at.own[k]), 0.0);
     else
       shares += std::max(double(at.own[k]), 0.0);
   }
   for (int r = rows.equal; r < rows.joint; ++r)
-    prices_[rows.label[r]] = std::max(double(at.joint[r]), 0.0);
+    multipliers_[rows.label[r]] = std::max(double(at.joint[r]), 0.0);
   double theta = 1.0, paid = 0.0;
   if (elastic()) {
     double price = 0.0;
-    for (int k = in_.torsions; k < limits; ++k) price += prices_[k] * in_.shares[k];
+    for (int k = in_.torsions; k < limits; ++k) price += multipliers_[k] * in_.shares[k];
     theta = price > 0.0 ? size_ / price : 0.0;
   }
   for (int i = 0; i < count; ++i) {
@@ -73,15 +73,15 @@ inline void ProgramOn<D>::certify(const Interior<R, T>& engine) {
       end[0] *= std::max(double(at.own[rows.first[i + 1] - 1]), 0.0) / shares;
     for (int r = 0; r < 6; ++r) add(end, double(at.joint[r]), in_.turn[r][i]);
     for (int r = rows.equal; r < rows.joint; ++r)
-      add(end, prices_[rows.label[r]], in_.limit[rows.label[r]][i]);
+      add(end, multipliers_[rows.label[r]], in_.limit[rows.label[r]][i]);
     for (int k = rows.first[i]; k < rows.first[i + 1]; ++k)
       if (rows.own[k].label >= 0)
-        add(end, prices_[rows.own[k].label], in_.limit[rows.own[k].label][i]);
+        add(end, multipliers_[rows.own[k].label], in_.limit[rows.own[k].label][i]);
     if (D == 4 && in_.soft[i] && end[D - 1] < 0.0) {
       // w has no cost: raise its row's multiplier, at the expense of u
       const Tuple<double, D>& row = in_.limit[in_.torsion_row[i]][i];
       const double raised = -end[D - 1] / row[D - 1];
-      prices_[in_.torsion_row[i]] += raised;
+      multipliers_[in_.torsion_row[i]] += raised;
       add(end, raised, row);
     }
     const Vec3<double> last = cone(end);
@@ -99,18 +99,18 @@ inline void ProgramOn<D>::certify(const Interior<R, T>& engine) {
     y[r] = double(at.joint[r]);
     value += y[r] * turned_[r];
   }
-  for (int k = 0; k < limits; ++k) value -= prices_[k] * in_.bound[k] / size_;
+  for (int k = 0; k < limits; ++k) value -= multipliers_[k] * in_.bound[k] / size_;
   value = theta * (value - paid);
   if (value > best_bound_ && value < infinity) {
     best_bound_ = value;
     best_nu_ = -theta * y;
-    for (int k = 0; k < limits; ++k) best_prices_[k] = theta * prices_[k];
+    for (int k = 0; k < limits; ++k) best_multipliers_[k] = theta * multipliers_[k];
   }
 }
 
 template <int D> template <class R>
 inline Code ProgramOn<D>::write_phi(PhiRows<R, D>& engine, Code code, const Call& call,
-                                    const Record& record, double* prices) {
+                                    const Record& record, double* multipliers) {
   for (int i = 0; i < count; ++i) best_[i] = narrow(engine.z[i]);
   best_residual_ = in_.rebalance(best_, unit_);
   for (double part = 1e-15;;
@@ -130,9 +130,9 @@ inline Code ProgramOn<D>::write_phi(PhiRows<R, D>& engine, Code code, const Call
   best_bound_ = double(engine.bound);
   for (int r = 0; r < 6; ++r) best_nu_[r] = -double(engine.proof.joint[r]);
   for (int k = 0; k < int(engine.rows.own.size()); ++k)
-    best_prices_[engine.rows.own[k].label] = double(engine.proof.own[k]);
+    best_multipliers_[engine.rows.own[k].label] = double(engine.proof.own[k]);
   for (int r = engine.rows.equal; r < engine.rows.joint; ++r)
-    best_prices_[engine.rows.label[r]] = double(engine.proof.joint[r]);
+    best_multipliers_[engine.rows.label[r]] = double(engine.proof.joint[r]);
   double force = 0.0;
   for (int i = 0; i < count; ++i) force = std::max(force, best_[i][0]);
   const bool good =
@@ -140,13 +140,14 @@ inline Code ProgramOn<D>::write_phi(PhiRows<R, D>& engine, Code code, const Call
   const bool near =
       best_bound_ > 0.0 && best_value_ - best_bound_ <= call.stop.tolerance * best_bound_;
   if (code == CONVERGED && !(good && (near || call.optimum == call.optimum))) code = STALLED;
-  write(code, record, prices);
+  write(code, record, multipliers);
   record.summary().iterations = engine.iterations;
   record.summary().trials = engine.trials;
   return code;
 }
 
-template <int D> inline void ProgramOn<D>::write(Code code, const Record& record, double* prices) {
+template <int D>
+inline void ProgramOn<D>::write(Code code, const Record& record, double* multipliers) {
   Summary& out = record.summary();
   if (!(best_value_ < infinity)) {  // the last force known to be inside, or none
     if (!has_inside_ || elastic()) {
@@ -163,7 +164,7 @@ template <int D> inline void ProgramOn<D>::write(Code code, const Record& record
     out.code = code == CONVERGED ? LIMITS_EXCEEDED : code;
     out.limit_excess = best_value_;
     best_nu_ = (1.0 / size_) * best_nu_;
-    for (double& price : best_prices_) price /= size_;
+    for (double& price : best_multipliers_) price /= size_;
   }
   out.residual = size_ * best_residual_;
   out.multipliers = in_.pull_back(best_nu_);
@@ -179,7 +180,7 @@ template <int D> inline void ProgramOn<D>::write(Code code, const Record& record
       if (!(in_.divisor[4 * i + a] < infinity)) x[a] = 0.0;
     out.margin = std::min(out.margin, size_ * slack(x));
   }
-  std::copy(best_prices_.begin(), best_prices_.end(), prices);
+  std::copy(best_multipliers_.begin(), best_multipliers_.end(), multipliers);
 }
 
 }  // namespace grasp::detail

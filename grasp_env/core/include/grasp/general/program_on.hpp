@@ -26,8 +26,8 @@ template <int D> class ProgramOn {
         best_(count),
         slacks_(in_.slacks()),
         slacks_inside_(in_.slacks()),
-        prices_(limits),
-        best_prices_(limits) {}
+        multipliers_(limits),
+        best_multipliers_(limits) {}
   // Memory of a program and of its solves, whose engines live for one call. joints: largest number
   // of rows that act on several contacts.
   static std::size_t bytes_needed(int count, int limits, int joints) {
@@ -49,9 +49,9 @@ template <int D> class ProgramOn {
 
   // See `Program`.
   Code least(const double* wrench, Criterion criterion, const StopRule& options,
-             const Record& record, double* prices, int budget);
+             const Record& record, double* multipliers, int budget);
 
-  Deepest deepest(const double* wrench, double tolerance, double* z, double* prices,
+  Deepest deepest(const double* wrench, double tolerance, double* z, double* multipliers,
                   bool inside = false);
 
   double missed(const double* wrench, const double* z) {
@@ -84,7 +84,7 @@ template <int D> class ProgramOn {
   }
 
   Code least_phi(const Call& call, const double* weights, const double* row_weights,
-                 const double* z, const Record& record, double* prices);
+                 const double* z, const Record& record, double* multipliers);
 
  private:
   // fraction of the forces: effect of their rounding on balance
@@ -108,7 +108,7 @@ template <int D> class ProgramOn {
   std::optional<bool> has_internal_force_;  // empty: not searched yet
   bool has_inside_ = false;
   bool moved_ = false;  // true if `unit_` is not quite the wrench of this call: see `Deepest`
-  ArenaVector<double> slacks_, slacks_inside_, prices_, best_prices_;
+  ArenaVector<double> slacks_, slacks_inside_, multipliers_, best_multipliers_;
   Vec6 unit_{}, turned_{}, best_nu_{};  // wrench of this call, scaled to size one; L^-1 of it
   Criterion criterion_ = Criterion::sum;
   int budget_ = INT_MAX;    // iterations of all attempts together
@@ -156,7 +156,7 @@ template <int D> class ProgramOn {
       Depth depth(in_, kept());
       const Deepest found = depth.find(wrench, 1e-7, z_);
       if (found.code != CONVERGED) {
-        prices_ = depth.prices();
+        multipliers_ = depth.multipliers();
         out.multipliers = found.twist;
         out.iterations = spent;
         return found.code == INFEASIBLE ? INFEASIBLE : REFUSED;
@@ -171,8 +171,8 @@ template <int D> class ProgramOn {
       auto careful = in_.template engine<DoubleDouble, T>(limits, criterion_);
       code = attempt(careful, has_inside_);
       if (code == STALLED && !elastic() && !moved_) {
-        const Best before{best_,    best_prices_, unit_,       turned_,
-                          best_nu_, best_value_,  best_bound_, best_residual_};
+        const Best before{best_,    best_multipliers_, unit_,       turned_,
+                          best_nu_, best_value_,       best_bound_, best_residual_};
         if (move_off_boundary(wrench)) code = attempt(careful, true);
         if (moved_ && code != CONVERGED && before.value < infinity) {
           restore(before);
@@ -186,13 +186,13 @@ template <int D> class ProgramOn {
   // The best force so far, and the wrench that it balances.
   struct Best {
     Field force;
-    ArenaVector<double> prices;
+    ArenaVector<double> multipliers;
     Vec6 unit, turned, nu;
     double value, bound, residual;
   };
   void restore(const Best& from) {
     best_ = from.force;
-    best_prices_ = from.prices;
+    best_multipliers_ = from.multipliers;
     unit_ = from.unit;
     turned_ = from.turned;
     best_nu_ = from.nu;
@@ -213,7 +213,7 @@ template <int D> class ProgramOn {
     best_value_ = infinity;
     best_bound_ = 0.0;
     best_nu_ = Vec6{};
-    std::fill(best_prices_.begin(), best_prices_.end(), 0.0);
+    std::fill(best_multipliers_.begin(), best_multipliers_.end(), 0.0);
   }
   // If the wrench is next to the boundary of the constraints, replace it by one just inside, see
   // `Deepest`.
@@ -284,8 +284,8 @@ template <int D> class ProgramOn {
   // Write Phi's optimum. CONVERGED requires that the returned force is balanced, inside, and has a
   // gap within the tolerance.
   template <class R> Code write_phi(PhiRows<R, D>& engine, Code code, const Call& call,
-                                    const Record& record, double* prices);
-  void write(Code code, const Record& record, double* prices);
+                                    const Record& record, double* multipliers);
+  void write(Code code, const Record& record, double* multipliers);
 };
 
 }  // namespace grasp::detail

@@ -41,7 +41,7 @@ struct Tree {
 
   int joints() const { return int(links.size()); }
   int fingers() const { return int(tips.size()); }
-  // The rule that the tree breaks, as a sentence; null: none.
+  // Why the tree is invalid, or null.
   const char* fault() const {
     for (int j = 0; j < joints(); ++j) {
       const Link& link = links[j];

@@ -104,7 +104,7 @@ template <int W> void SmoothLanes<W>::polish(const Mask& which) {
 template <int W> auto SmoothLanes<W>::gap() const -> V {
   V bound{}, room = infinity;
   for (int r = 0; r < 6; ++r) bound += y_[r] * w_[r];
-  std::vector<V> prices(joints_);
+  std::vector<V> multipliers(joints_);
   std::fill(along_.begin(), along_.end(), V{});
   for (int i = 0; i < count(); ++i)
     for (int j = 0; j < joints_; ++j) along_[j] += along(i, j, x_[i], v_[i]);
@@ -116,16 +116,16 @@ template <int W> auto SmoothLanes<W>::gap() const -> V {
         return price;
       };
   for (int j = 0; j < joints_; ++j)
-    prices[j] = conjugate(rows_[j].high, rows_[j].high.bound - along_[j]) -
-                conjugate(rows_[j].low, rows_[j].low.bound + along_[j]);
+    multipliers[j] = conjugate(rows_[j].high, rows_[j].high.bound - along_[j]) -
+                     conjugate(rows_[j].low, rows_[j].low.bound + along_[j]);
   for (int i = 0; i < count(); ++i) {
     const Contact& c = at_[i];
     Vec pull = -Block<V>::combined(cones_.blocks[i].g, y_);
     V turn{};
     for (int r = 0; r < 6; ++r) turn -= c.gv[r] * y_[r];
     for (int j = 0; j < joints_; ++j) {
-      pull -= prices[j] * column(i, j).c;
-      turn -= prices[j] * column(i, j).cv;
+      pull -= multipliers[j] * column(i, j).c;
+      turn -= multipliers[j] * column(i, j).cv;
     }
     pull.u -= conjugate(c.high, c.high.bound - x_[i].u) - conjugate(c.low, c.low.bound + x_[i].u);
     const V near = 1.0 / (x_[i].u - v_[i]);

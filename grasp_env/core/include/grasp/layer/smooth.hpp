@@ -72,7 +72,8 @@ template <int W> class SmoothLanes {
     reach_[lane] =
         regime == Regime::within_reach ? posed.placed(batch_, number(lane)).reach : WrenchSpace{};
   }
-  // Compute frames, columns and rows of the loaded problems. Return the ordinary ones.
+  // Compute frames, columns and rows of the loaded problems. Return a mask of those
+  // without degenerate contacts.
   Mask place() {
     const Mask good = placed_.place(problems_, cones_);
     w_ = cones_.unit.of(wrench_);
@@ -165,8 +166,8 @@ template <int W> class SmoothLanes {
   // Take full Newton steps close to an optimum to reach its last digits, as long as they do not
   // raise E. Solve elastic lanes, and finish those that are stiff.
   void polish(const Mask& which);
-  // (E - bound) / bound, where bound is the dual value at the multipliers and the limits' prices:
-  // no balanced force has less. inf: no bound.
+  // (E - bound) / bound, where bound is the dual value at the multipliers of balance and
+  // limits: no balanced force has less. inf: no bound.
   V gap() const;
   // True if the last `polish` left a lane balanced.
   Mask balanced() const { return cones_.balanced(x_, w_, residual); }
@@ -279,7 +280,7 @@ template <int W> class SmoothLanes {
   mutable std::vector<V> along_;
   AnyLdl<V> schur_;
   PivotedQr stiff_;
-  std::vector<double> axes_, nearest_, prices_;
+  std::vector<double> axes_, nearest_, multipliers_;
   Six<V> wrench_{}, w_{};
   V softness_{}, last_{}, edge_{},
       tightest_{};  // edges: in units of the limits; tightest_: smallest slack at the last system
@@ -357,11 +358,15 @@ template <int W> class SmoothLanes {
     return select((room > 0.0) & (total == total), total, V(infinity));
   }
   V energy() const {
-    return energy_at([&](int i, V& turn) { return turn = v_[i], x_[i]; });
+    return energy_at([&](int i, V& turn) {
+      turn = v_[i];
+      return x_[i];
+    });
   }
   V energy_along(const V& alpha) const {
     return energy_at([&](int i, V& turn) {
-      return turn = v_[i] + alpha * step_v_[i], x_[i] + alpha * step_[i];
+      turn = v_[i] + alpha * step_v_[i];
+      return x_[i] + alpha * step_[i];
     });
   }
   Six<V> missed() const {  // A z + w
@@ -380,8 +385,8 @@ template <int W> class SmoothLanes {
     for (int lane = 0; lane < W; ++lane) made[lane] = reach_[lane].full() ? 0 : -1;
     return made;
   }
-  // stiff.hpp: lanes whose prices are so high that `solve` loses digits; its twin for one lane;
-  // Newton's method with it
+  // stiff.hpp: lanes whose multipliers are so high that `solve` loses digits; its version for
+  // one lane; Newton's method with it
   Mask stiff() const;
   bool solve_stiff(int lane, const Six<V>& h, Six<V>& q);
   void axes_of(int lane, int i, double* axes) const;

@@ -1,5 +1,5 @@
-// The stiff part of `SmoothLanes`: problems whose prices are so high, because limits are exceeded
-// or almost, that the system of system.hpp loses its digits. One problem at a time.
+// The stiff part of `SmoothLanes`: problems whose multipliers are so high, because limits are
+// exceeded or almost, that the system of system.hpp loses its digits. One problem at a time.
 #pragma once
 #include <grasp/layer/system.hpp>
 
@@ -49,11 +49,11 @@ template <int W> bool SmoothLanes<W>::solve_stiff(int lane, const Six<V>& h, Six
   stiff_.resize(tail + columns, columns);
   axes_.resize(16 * n);
   nearest_.assign(tail + columns, 0.0);
-  prices_.assign(columns, 0.0);
+  multipliers_.assign(columns, 0.0);
   Vec6 missing;
   for (int r = 0; r < 6; ++r) missing[r] = get(h[r], lane);
   for (int r = 0; r < balance; ++r)
-    prices_[r] = reach.full() ? missing[r] : dot(reach.axes[r], missing);
+    multipliers_[r] = reach.full() ? missing[r] : dot(reach.axes[r], missing);
   for (int j = first; j < columns; ++j) stiff_(tail + j, j) = j < balance ? std::sqrt(soft) : 1.0;
   for (int i = 0; i < n; ++i) {
     const Contact& c = at_[i];
@@ -98,7 +98,7 @@ template <int W> bool SmoothLanes<W>::solve_stiff(int lane, const Six<V>& h, Six
            {1.0, 0.0, 0.0, 0.0});
   }
   if (!stiff_.factor()) return false;
-  stiff_.nearest(nearest_.data(), prices_.data());
+  stiff_.nearest(nearest_.data(), multipliers_.data());
   for (int i = 0; i < n; ++i)
     for (int a = 0; a < width; ++a) {
       double total = 0.0;
@@ -110,9 +110,9 @@ template <int W> bool SmoothLanes<W>::solve_stiff(int lane, const Six<V>& h, Six
   Vec6 found{};
   for (int r = 0; r < balance; ++r) {
     if (reach.full())
-      found[r] = prices_[r];
+      found[r] = multipliers_[r];
     else
-      found = found + prices_[r] * reach.axes[r];
+      found = found + multipliers_[r] * reach.axes[r];
   }
   for (int r = 0; r < 6; ++r) set(q[r], lane, found[r]);
   return true;

@@ -83,7 +83,7 @@ template <int W> void SmoothLanes<W>::place_row(int j) {
   }
 }
 
-// Blocks of the inverse Hessian, gradients and prices of the limits at z.
+// Blocks of the inverse Hessian, gradients and multipliers of the limits at z.
 template <int W> void SmoothLanes<W>::bind() {
   tightest_ = V(infinity);
   for (Row& row : rows_) row.along = V{};

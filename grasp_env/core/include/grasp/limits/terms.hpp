@@ -68,7 +68,7 @@ template <class V, int B> class LimitTerms {
     pairs_of_.resize(W * blocks);
     for (auto& mine : pairs_of_) mine.reserve(rows);
     pairs_.reserve(size_t(rows) * blocks);
-    extra_prices_.reserve(W * blocks * size_t(rows));
+    extra_multipliers_.reserve(W * blocks * size_t(rows));
     resize_blocks(blocks);
   }
   // Load the rows. Does not allocate if the contacts had as many rows before.
@@ -91,7 +91,7 @@ template <class V, int B> class LimitTerms {
       pairs_per_contact_ = std::max(pairs_per_contact_, int(mine.size()));
     }
     pairs_.assign(size_t(pairs_per_contact_) * blocks, no_pair());
-    extra_prices_.assign(rows.count, 0.0);
+    extra_multipliers_.assign(rows.count, 0.0);
     resize_blocks(blocks);
     for (int b = 0; b < blocks; ++b) {
       const auto& w = cones.blocks[b].weights;
@@ -156,7 +156,7 @@ template <class V, int B> class LimitTerms {
     });
   }
   // The multipliers of Newton's model after a step.
-  void predict_prices(int b, const Vec3<V>& step) {
+  void predict_multipliers(int b, const Vec3<V>& step) {
     for_each(b, [&](Pair<V>& p) {
       const V along = dot(p.a, step);
       p.sides([&](Side<V>& side, double sign) {
@@ -225,12 +225,12 @@ template <class V, int B> class LimitTerms {
     return Verdict::sharpened;
   }
 
-  // With prices y >= 0 and q = sum y a - G^T nu, every balanced force has sum q . x = sum y a . x +
-  // nu . w. In the cones and within limits raised by t this is at least -sum delta u_max, where
-  // delta is the distance of q from the dual cone, and at most sum y (b + t share) + nu . w. So
-  // value + t share >= 0: value < 0 proves that no force keeps the limits, and -value / share is a
-  // lower bound on t. Contacts whose u_max no row bounds have nu changed (see `find_shift`) until
-  // their delta is zero.
+  // With multipliers y >= 0 and q = sum y a - G^T nu, a balanced force has
+  // sum q . x = sum y a . x + nu . w. In the cones and within limits raised by t this is at least
+  // -sum delta u_max, where delta is the distance of q from the dual cone, and at most sum y (b + t
+  // share) + nu . w. So value + t share >= 0: value < 0 proves that no force keeps the limits, and
+  // -value / share is a lower bound on t. Contacts whose u_max no row bounds have nu changed (see
+  // `find_shift`) until their delta is zero.
   struct Farkas {
     double value, share, size;
     Vec6 nu;
@@ -264,28 +264,28 @@ template <class V, int B> class LimitTerms {
     const Farkas found = farkas(cones, nu, w);
     if (!(found.value < -PROOF_MARGIN * found.size)) return false;
     nu = found.nu;
-    std::fill(extra_prices_.begin(), extra_prices_.end(), 0.0);
+    std::fill(extra_multipliers_.begin(), extra_multipliers_.end(), 0.0);
     for (int i = 0; i < cones.count; ++i) {
       Vec3<V> q = -cones.blocks[i / W].transposed(nu);
       for_each(i / W, [&](const Pair<V>& p) { q += p.price() * p.a; });
       const double lacking = -get(slack(q), i % W);
       for (int k = 0; k < 3 && lacking > 0.0; ++k)
         if (const int m = bounding_rows_[i].row[k]; m >= 0)
-          extra_prices_[m] += lacking * bounding_rows_[i].part[k];
+          extra_multipliers_[m] += lacking * bounding_rows_[i].part[k];
     }
     return true;
   }
 
   // Call f(row, price) for all rows of the last proof: G^T v + sum price a, v = -nu, lies in every
   // dual cone. The rows that bound u provide what the multipliers lack.
-  template <class F> void prices(F&& f) const {
+  template <class F> void multipliers(F&& f) const {
     for (int i = 0; i < int(pairs_of_.size()); ++i)
       for (int k = 0; k < int(pairs_of_[i].size()); ++k) {
         const auto& pair = pairs_[pairs_per_contact_ * (i / W) + k];
         const int high = pairs_of_[i][k].high;
         const int low = pairs_of_[i][k].low;
-        f(high, get(pair.high.price, i % W) + extra_prices_[high]);
-        if (low >= 0) f(low, get(pair.low.price, i % W) + extra_prices_[low]);
+        f(high, get(pair.high.price, i % W) + extra_multipliers_[high]);
+        if (low >= 0) f(low, get(pair.low.price, i % W) + extra_multipliers_[low]);
       }
   }
 
@@ -315,7 +315,7 @@ template <class V, int B> class LimitTerms {
   std::vector<std::vector<RowPair>> pairs_of_;  // pairs of each contact
   std::vector<Pair<V>> pairs_;                  // (blocks, each)
   std::vector<BoundingRows> bounding_rows_;     // for each contact
-  std::vector<double> extra_prices_;            // (M,) prices of a proof beyond those of the pairs
+  std::vector<double> extra_multipliers_;  // (M,) multipliers of a proof beyond those of the pairs
   // u is at most u_bound + t u_growth within limits raised by t
   Blocks<V, B> scale_, u_bound_, u_growth_;
   Blocks<V, B> unbounded_;  // 1 for a contact that no row bounds, with u at most u_bound + t

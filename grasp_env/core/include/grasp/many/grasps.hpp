@@ -162,7 +162,7 @@ template <int W> struct GraspLanes {
   GraspLanes(int contacts, const SolveBatch& many)
       : many(many), placed(contacts), rest(contacts), first(rest), force(rest) {}
 
-  // Place the contacts into the cones. Return the ordinary problems.
+  // Place the contacts into the cones. Return a mask of those without degenerate contacts.
   Mask place(const LaneProblem (&problems)[W], Cones<V, 0>& cones) {
     const Mask good = placed.place(problems, cones) & placed.internal_force(cones, rest);
     for (int lane = 0; lane < W; ++lane)

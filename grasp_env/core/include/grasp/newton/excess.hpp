@@ -238,7 +238,7 @@ template <class V, int B> class LeastExcess {
   }
 
   // Right-hand sides of the corrector, from the predictor's steps: gradients go into `system`,
-  // prices for an unchanged slack into dprice. Return the slope of t.
+  // multipliers for an unchanged slack into dprice. Return the slope of t.
   double correct(const Cones<V, B>& cones, LimitTerms<V, B>& rows, System<V, B>& system,
                  double target) {
     V slope{}, pull[6] = {};

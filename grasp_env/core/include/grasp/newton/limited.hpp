@@ -10,7 +10,7 @@ template <class V, int B> class LimitedNewton {
  public:
   NewtonSolver<V, B, LimitTerms<V, B>> newton;
   bool elastic = false;  // if no force keeps the limits, find the one that exceeds them least
-  // factor that scales the prices in `newton.rows` of a proof to its twist
+  // factor that scales the multipliers in `newton.rows` of a proof to its twist
   double proof_scale = 0.0;
 
   explicit LimitedNewton(int count)

@@ -5,7 +5,7 @@
 
 namespace grasp::detail {
 
-// Solves one call: the record of `on` receives the answer, its prices those of the limits.
+// Solves one call: the record of `on` receives the answer, its multipliers those of the limits.
 template <class V, int B> class Algorithms {
  public:
   Algorithms(Solvers<V, B>& on, CallState& call)
@@ -114,7 +114,7 @@ template <class V, int B> class Algorithms {
   }
   // Record a proof that uses only the cones.
   Code write_proof() {
-    std::fill(on_.answer.prices.begin(), on_.answer.prices.end(), 0.0);
+    std::fill(on_.answer.multipliers.begin(), on_.answer.multipliers.end(), 0.0);
     return record_.refute((1.0 / grasp::size(call_.twist)) * call_.twist, grasp::size(w_));
   }
   // Begin from the previous solution if the call starts from one. Return false otherwise.
@@ -174,23 +174,23 @@ template <class V, int B> class Algorithms {
     };
     const Code code = limited.solve(call, record_, begin);
     if (code != REFUSED) {
-      write_prices(code);
+      write_multipliers(code);
       return code;
     }
     if (begun == INFEASIBLE) return write_proof();
     if (begun == REFUSED) return REFUSED;
     return starts_.has_own() ? general() : UNDECIDED;
   }
-  // Write the prices of an answer of `within_limits`: of an optimum of Phi, or of a proof.
-  void write_prices(Code code) {
-    std::vector<double>& prices = on_.answer.prices;
+  // Write the multipliers of an answer of `within_limits`: of an optimum of Phi, or of a proof.
+  void write_multipliers(Code code) {
+    std::vector<double>& multipliers = on_.answer.multipliers;
     const LimitTable& table = on_.current.table;
     if (code == INFEASIBLE) {
       const double scale = on_.limited->proof_scale;
-      on_.limited->newton.rows.prices(
-          [&](int m, double price) { prices[m] = scale * price / table.sizes[m]; });
+      on_.limited->newton.rows.multipliers(
+          [&](int m, double price) { multipliers[m] = scale * price / table.sizes[m]; });
     } else {
-      for (int k = 0; k < int(table.owners.size()); ++k) prices[k] = price_at_optimum(k);
+      for (int k = 0; k < int(table.owners.size()); ++k) multipliers[k] = price_at_optimum(k);
     }
   }
   // Price of the k-th row of the current contacts at an optimum of Phi.
@@ -249,7 +249,7 @@ template <class V, int B> class Algorithms {
       code = minimise_phi(*program, stop);
     }
     if (on_.options.elastic && code == INFEASIBLE) code = program->excess(stop, record_);
-    std::ranges::copy(program->prices(), on_.answer.prices.begin());
+    std::ranges::copy(program->multipliers(), on_.answer.multipliers.begin());
     return code;
   }
   Code minimise_phi(General& program, const StopRule& stop) {

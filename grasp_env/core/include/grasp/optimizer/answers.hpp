@@ -53,18 +53,18 @@ template <class V, int B> class AnswerWriter {
     if (!Record::has_force(code)) return write_nothing(code, out);
     write_force(code, out);
     const bool priced = code != LIMITS_EXCEEDED;
-    current_.fill_prices(out.prices(),
-                         [&](int row) { return priced ? on_.answer.prices[row] : 0.0; });
+    current_.fill_multipliers(out.limit_multipliers(),
+                              [&](int row) { return priced ? on_.answer.multipliers[row] : 0.0; });
     if (code == LIMITS_EXCEEDED) out.summary().objective = out.summary().limit_excess;
     return code;
   }
-  // Write a start. It may miss balance by what is allowed for given forces, and has no prices.
+  // Write a start. It may miss balance by what is allowed for given forces, and has no multipliers.
   Code write_start(Code code, const Record& out) {
     if (code == INFEASIBLE) return write_proof(out);
     const bool usable = code == STARTED && on_.record().summary().objective < infinity;
     if (!usable) return write_nothing(code == STARTED ? UNDECIDED : code, out);
     write_force(code, out);
-    current_.fill_prices(out.prices(), [](int) { return 0.0; });
+    current_.fill_multipliers(out.limit_multipliers(), [](int) { return 0.0; });
     return code;
   }
 
@@ -96,7 +96,8 @@ template <class V, int B> class AnswerWriter {
     s.lower_bound = infinity;  // every bound holds where no force exists
     s.start = double(call_.used.start);
     s.replaced = call_.used.replaced;
-    current_.fill_prices(out.prices(), [&](int row) { return on_.answer.prices[row]; });
+    current_.fill_multipliers(out.limit_multipliers(),
+                              [&](int row) { return on_.answer.multipliers[row]; });
     return INFEASIBLE;
   }
   void write_force(Code code, const Record& out) {

@@ -149,9 +149,9 @@ class CurrentContacts {
           to[j] += contact_jacobian_[joints * (4 * i + a) + j] * force;
       }
   }
-  // Write the prices of all limits: `of(row)` for a row of the current contacts, 0 if its contact
-  // does not touch.
-  template <class F> void fill_prices(double* to, F&& of) const {
+  // Write the multipliers of all limits: `of(row)` for a row of the current contacts, 0 if its
+  // contact does not touch.
+  template <class F> void fill_multipliers(double* to, F&& of) const {
     int row = 0;
     for (const auto* limits : {&limits.min_normal, &limits.max_normal})
       for (int i = 0, k = 0; i < int(limits->size()); ++i) {

@@ -39,12 +39,12 @@ template <class T> class PerPlacement {
 // until it is found or out of digits.
 enum class Search { none, quick, thorough };
 
-// A force and its torsions; an answer with the prices of the limits. Space for all contacts.
+// A force and its torsions; an answer with the multipliers of the limits. Space for all contacts.
 struct Given {
   std::vector<double> force, torsion;
 };
 struct StoredAnswer {
-  std::vector<double> row, prices;
+  std::vector<double> row, multipliers;
 };
 
 template <class V, int B> class Solvers {

@@ -107,7 +107,7 @@ template <class V, int B> class System {
     for (int b = 0; b < int(x.size()); ++b) {
       const auto& c = cones.blocks[b];
       step[b] -= c.least(missed);
-      if constexpr (R::has_terms) rows.predict_prices(b, step[b]);
+      if constexpr (R::has_terms) rows.predict_multipliers(b, step[b]);
       decrement -= dot(step[b], gradient[b]);
       reach = max(reach, Boundary<V>(x[b]).per(step[b]));
       if constexpr (R::has_torsion) {

@@ -143,7 +143,7 @@ template <class V, int B> class SoftTerms {
     return max((n.step - step.u) * n.p, -(n.step + step.u) * n.q);
   }
   // The price of u after the step, in Newton's model: -d (lambda/p + lambda/q) / du.
-  void predict_prices(int b, const Vec3<V>& step) {
+  void predict_multipliers(int b, const Vec3<V>& step) {
     State& n = states_[b];
     const V dp = (step.u - n.step) * n.p;
     const V dq = (step.u + n.step) * n.q;
