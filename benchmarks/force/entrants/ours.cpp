@@ -56,7 +56,7 @@ int solve(void* context, const force_problem* p, const double* start, double* fo
   if (iterations) *iterations = int(solution.summary().iterations);
   for (int r = 0; r < 6; ++r) multipliers[r] = solution.summary().multipliers[r];
   if (solution.code() == grasp::INFEASIBLE || solution.has_force())
-    std::copy_n(solution.prices(), int(solution.summary().limits), multipliers + 6);
+    std::copy_n(solution.limit_multipliers(), int(solution.summary().limits), multipliers + 6);
   if (!solution.has_force()) return solution.code() == grasp::INFEASIBLE ? 2 : 1;
   if (p->width == 3) {
     std::copy_n(solution.force(), 3 * n, force);
