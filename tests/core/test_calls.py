@@ -207,8 +207,6 @@ def test_a_row_without_a_force_does_not_look_like_an_optimum_of_zero(method: str
 @pytest.mark.parametrize("method", ["newton", "reduced flow", "sum"])
 @pytest.mark.parametrize("count", [4, 9])
 def test_contacts_of_a_call(count: int, method: str) -> None:
-    """Moved contacts have the answer of a solver made for them, and the previous solution follows
-    them in fewer steps."""
     s = sample(count)
     rng = np.random.default_rng(count)
     saved = 0.0
@@ -248,7 +246,6 @@ def test_contacts_of_a_call(count: int, method: str) -> None:
 @each_algorithm
 @pytest.mark.parametrize("count", [4, 16])
 def test_nothing_is_allocated(count: int, method: str, kind: str, calls: int) -> None:
-    """Optima, proofs and least excesses, on contacts that stay or move."""
     assert (insides.known_allocations(0), insides.known_allocations(5)) == (0, 10)
     if method == "full flow" and count > 8:
         pytest.skip("the full flow is dense")

@@ -155,8 +155,6 @@ def test_the_answers_of_single_solves(method: str, kind: str, count: int) -> Non
 @each_method
 @pytest.mark.parametrize("count", [3, 9])
 def test_what_is_not_ordinary_is_left(method: str, count: int) -> None:
-    """Contacts of little or no rank, no force closure, soft contacts, bad numbers, wrenches of
-    nothing; the others keep their bits."""
     given = list(grasps(count, "hard"))
     loads = wrenches(np.random.default_rng(count), len(given))
     before = solved(method, [placed(s) for s in given], loads)
@@ -186,7 +184,6 @@ def test_what_is_not_ordinary_is_left(method: str, count: int) -> None:
 @each_method
 @pytest.mark.parametrize("count", [3, 9])
 def test_no_answer_depends_on_its_neighbours(method: str, count: int) -> None:
-    """Each grasp has 0 to 20 wrenches; the grasps in another order, and one at a time."""
     given = [placed(s) for s in grasps(count, "hard")]
     rng = np.random.default_rng(count)
     own = rng.integers(0, 20, len(given)) * (rng.uniform(size=len(given)) < 0.7) + (

@@ -93,8 +93,6 @@ def start(grasp: Grasp, squeeze: float = 5.0) -> np.ndarray:
 
 @pytest.mark.parametrize("name", GRASPS)
 def test_full_and_reduced_iterates_are_equal(name: str) -> None:
-    """By the dense projector, by the entries picked from it, and in closed form; balance and the
-    structure of P stay."""
     grasp = GRASPS[name]
     # moments in units of the grasp: the projector does not depend on them, its rounding does
     land = landscape(grasp.unit_frame @ grasp.cone_matrix, weights(grasp))

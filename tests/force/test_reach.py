@@ -130,7 +130,6 @@ def test_wrenches_within_reach_have_the_optimum_of_another_solver(kind: str) -> 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_wrenches_out_of_reach_have_a_proof(kind: str) -> None:
-    """The twist moves no contact; without that part the wrench is balanced."""
     rng = np.random.default_rng(KINDS.index(kind))
     for _ in range(12):
         grasp = random_contacts(rng, kind)

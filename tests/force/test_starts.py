@@ -291,7 +291,6 @@ def test_without_closure_only_phase_one_has_a_start() -> None:
     "name", ["pinch", "soft", "mixed", "hard, normals", "hard, torques", "own joints", "all"]
 )
 def test_any_start_ends_at_the_same_optimum(name: str) -> None:
-    """Given forces have to be balanced and inside the cones, and may exceed limits."""
     p = NAMED[name]
     optimizer = ForceOptimizer(p.grasp, **p.options("newton"))
     want = optimizer.solve(p.wrench)
@@ -320,7 +319,6 @@ def test_any_start_ends_at_the_same_optimum(name: str) -> None:
 
 
 def test_a_rule_gets_the_contacts_of_the_call() -> None:
-    """In a call with other contacts, of which some touch, the rule sees those."""
     seen: list[Grasp] = []
 
     def rule(grasp: Grasp, wrench: np.ndarray) -> np.ndarray:
@@ -366,8 +364,6 @@ def test_a_given_start_is_judged_by_its_own_wrench(load: float) -> None:
 
 @pytest.mark.parametrize("load", LOADS)
 def test_a_carried_start_that_stalls_is_never_replaced_by_a_worse_force(load: float) -> None:
-    """With few steps and a gap below rounding: the objective is not above that of the optimum that
-    was given."""
     for grasp, wrench in loaded(np.random.default_rng(0), load):
         known = optimize_force(grasp, wrench, tolerance=1e-9)
         found = ForceOptimizer(grasp, tolerance=1e-16, max_iterations=5).solve(

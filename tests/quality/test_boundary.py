@@ -207,8 +207,6 @@ def test_all_methods_agree(problems: int) -> None:
 
 
 def test_a_load_over_the_edge_of_its_supports() -> None:
-    """A weight above the line between two supports, a nanometre inside or outside, is held; a
-    micrometre outside it is not."""
     supports = np.array([[0.05, 0.0, 0.0], [-0.05, 0.05, 0.0], [-0.05, -0.05, 0.0]])
     tray = Grasp.from_contacts(supports, [[0.0, 0.0, 1.0]] * 3, 0.5)
     for beyond in (-1e-6, -1e-12, 0.0, 1e-12):

@@ -190,7 +190,6 @@ def test_grasps_next_to_a_symmetric_one(size: float) -> None:
 
 
 def test_a_start_that_does_not_exist_has_the_prices_of_its_proof() -> None:
-    """The error has the prices of its own proof, not those that the call before has left."""
     shared = 0.05 * np.random.default_rng(3).standard_normal((4, 3, 5))
     limits = ForceLimits(jacobian=shared, torque_limit=0.1)
     optimizer = ForceOptimizer(CUBOID, limits=limits)
