@@ -22,6 +22,7 @@ from cases import (
     at,
     case,
 )
+from numpy.testing import assert_allclose, assert_array_equal
 from oracles import network as network_oracle
 from oracles.phi import phi
 from samples import Sample, sample, wrenches
@@ -96,7 +97,7 @@ def test_a_learned_start_is_the_networks_force_or_a_better_one(count: int, size:
                     way = force - safe
                     share = float((x - safe) @ way / (way @ way))
                     near = 1e-5 * share * np.abs(way).max() + 1e-12 * np.abs(safe).max()
-                    np.testing.assert_allclose(x, safe + share * way, rtol=0, atol=near)
+                    assert_allclose(x, safe + share * way, rtol=0, atol=near)
                     assert 0.0 <= share <= 1.0
                     kept = share > 0.0
                     assert at(row, "replaced") == (not kept)
@@ -150,19 +151,17 @@ def test_answers_do_not_depend_on_earlier_calls(count: int, method: str, kind: s
     copy = made.clone()
     for heavy in (1e-3, 1.0, 1e3, np.nan):
         again.solve(heavy * other)
-        np.testing.assert_array_equal(again.solve(load)[0], wanted)
+        assert_array_equal(again.solve(load)[0], wanted)
     made.solve(50.0 * other)
-    np.testing.assert_array_equal(copy.solve(load)[0], wanted)
+    assert_array_equal(copy.solve(load)[0], wanted)
     del made
-    np.testing.assert_array_equal(copy.solve(load)[0], wanted)
+    assert_array_equal(copy.solve(load)[0], wanted)
     loads = np.array([load, other, np.full(6, np.nan), 0.5 * load] * 4)
     for row, one in zip(copy.solve_many(loads), loads, strict=True):
         alone = copy.solve(one)[0]
         assert at(row, "code") == at(alone, "code")
         # side by side sums are taken in another order
-        np.testing.assert_allclose(
-            c.z(row), c.z(alone), rtol=0, atol=1e-7 * np.abs(c.z(alone)).max() + 1e-300
-        )
+        assert_allclose(c.z(row), c.z(alone), rtol=0, atol=1e-7 * np.abs(c.z(alone)).max() + 1e-300)
 
 
 @each_algorithm
@@ -180,7 +179,7 @@ def test_bad_wrenches_are_refused_and_tiny_ones_are_solved(method: str, kind: st
         row, _ = made.solve(nothing)
         assert at(row, "code") == CONVERGED
         assert np.isfinite(np.delete(row, FIELDS["lower_bound"])).all()
-    np.testing.assert_array_equal(made.solve(np.ones(6) * 0.1)[0], good)
+    assert_array_equal(made.solve(np.ones(6) * 0.1)[0], good)
 
 
 @pytest.mark.parametrize("method", ["newton", "reduced flow", "full flow", "sum", "largest"])
@@ -225,7 +224,7 @@ def test_contacts_of_a_call(count: int, method: str) -> None:
         row, _ = made.solve(load, positions=positions, normals=normals)
         assert at(row, "objective") == pytest.approx(at(alone, "objective"), rel=2e-5)
         frames = there.contacts.placement.arrays["frames"]
-        np.testing.assert_array_equal(row[FIELDS["force"] + 7 * count :], frames.reshape(-1))
+        assert_array_equal(row[FIELDS["force"] + 7 * count :], frames.reshape(-1))
         follows, _ = made.solve(
             load, START["previous"], previous=before, positions=positions, normals=normals
         )

@@ -9,6 +9,7 @@ import _core_test as insides
 import numpy as np
 import pytest
 from cases import START, STARTED
+from numpy.testing import assert_allclose, assert_array_equal
 from samples import Sample, random_contacts, thinned, with_frictionless, wrenches
 
 from grasp_env.core import _core
@@ -98,7 +99,7 @@ def solved(
     for k, contacts in enumerate(given):
         for row in rows[int(begin[k]) : int(begin[k + 1])]:
             if row[CODE] == 0.0:
-                np.testing.assert_array_equal(row[size:], np.ravel(contacts.frames))
+                assert_array_equal(row[size:], np.ravel(contacts.frames))
     return rows[:, :size]
 
 
@@ -139,17 +140,13 @@ def test_the_answers_of_single_solves(method: str, kind: str, count: int) -> Non
         near = digits * np.abs(one[forces]).max()
         if np.abs(each[forces] - one[forces]).max() > near:  # one grasp has fewer digits
             near = 2.0 * last_digits(method, s, load, forces)
-        np.testing.assert_array_equal(each[exact], one[exact])
-        np.testing.assert_allclose(each[forces], one[forces], rtol=0, atol=near)
-        np.testing.assert_allclose(
-            each[[OBJECTIVE, BOUND]], one[[OBJECTIVE, BOUND]], rtol=10 * digits
-        )
-        np.testing.assert_allclose(
-            each[nu], one[nu], rtol=0, atol=100 * digits * np.abs(one[nu]).max()
-        )
+        assert_array_equal(each[exact], one[exact])
+        assert_allclose(each[forces], one[forces], rtol=0, atol=near)
+        assert_allclose(each[[OBJECTIVE, BOUND]], one[[OBJECTIVE, BOUND]], rtol=10 * digits)
+        assert_allclose(each[nu], one[nu], rtol=0, atol=100 * digits * np.abs(one[nu]).max())
         assert each[MARGIN] == pytest.approx(one[MARGIN], abs=near)
         assert each[RESIDUAL] <= 1e-9 * np.abs(load).max()
-        np.testing.assert_array_equal(each[WRENCH : WRENCH + 6], load)
+        assert_array_equal(each[WRENCH : WRENCH + 6], load)
 
 
 @each_method
@@ -171,11 +168,11 @@ def test_what_is_not_ordinary_is_left(method: str, count: int) -> None:
     assert (records[[3, 5, 6, 7, 8, 10], CODE] == REFUSED).all()
     left = records[:, CODE] == REFUSED
     assert not records[left, FORCE : FORCE + 6 * count].any()
-    np.testing.assert_array_equal(
+    assert_array_equal(
         records[left][:, [OBJECTIVE, BOUND]], np.tile([np.inf, -np.inf], (left.sum(), 1))
     )
     assert records[9, CODE] in (0.0, REFUSED)
-    np.testing.assert_array_equal(records[[0, 2, 4]], before[[0, 2, 4]])
+    assert_array_equal(records[[0, 2, 4]], before[[0, 2, 4]])
     for wrong in (None, 3, placed(grasps(5, "hard")[0])):
         with pytest.raises(TypeError, match="contacts"):
             solved(method, [*contacts[:-1], wrong], loads)
@@ -196,12 +193,10 @@ def test_no_answer_depends_on_its_neighbours(method: str, count: int) -> None:
     order = rng.permutation(len(given))
     rows = np.concatenate([np.arange(first[u], first[u + 1]) for u in order])
     begin = np.append(0, np.cumsum(own[order])).astype(float)
-    np.testing.assert_array_equal(
-        solved(method, [given[u] for u in order], loads[rows], begin), records[rows]
-    )
+    assert_array_equal(solved(method, [given[u] for u in order], loads[rows], begin), records[rows])
     for u, each in enumerate(given):
         part = slice(first[u], first[u + 1])
-        np.testing.assert_array_equal(
+        assert_array_equal(
             solved(method, [each], loads[part], np.array([0.0, own[u]])), records[part]
         )
 

@@ -12,6 +12,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from cases import CONVERGED, FIELDS, LIMIT, REFUSED, START, STARTED, Case, at, case, nu_of
+from numpy.testing import assert_allclose, assert_array_equal
 from oracles import limits as oracle
 from oracles import newton
 from oracles.phi import gradient, lower_bound, phi
@@ -49,12 +50,10 @@ def check(
     more = 1e-12 * bool(len(c.terms.rows))
     assert left <= (1e-13 * c.count + more) * size
     assert at(row, "residual") == pytest.approx(left, abs=(1e-14 * c.count + more) * size)
-    np.testing.assert_array_equal(row[FIELDS["wrench"] :][:6], load)
-    np.testing.assert_array_equal(c.forces(row)[1][~c.soft], 0.0)
+    assert_array_equal(row[FIELDS["wrench"] :][:6], load)
+    assert_array_equal(c.forces(row)[1][~c.soft], 0.0)
     (torques, prices), wanted = c.torques_and_prices(row), c.torques(row)
-    np.testing.assert_allclose(
-        torques, wanted, rtol=0, atol=1e-13 * (1.0 + np.abs(wanted).max(initial=0.0))
-    )
+    assert_allclose(torques, wanted, rtol=0, atol=1e-13 * (1.0 + np.abs(wanted).max(initial=0.0)))
     assert (prices >= 0.0).all()
     if least is not None:
         # the last bound may come from dual_near, 2e-5 of the tolerance above the least
@@ -90,7 +89,7 @@ def test_newton_finds_the_optimum_of_the_oracle(count: int, kind: str) -> None:
             check(c, load, each, tolerance, least)
         # Phi is flat: a gap of 1e-10 is a distance of its root over the least curvature
         if kind in HARD:
-            np.testing.assert_allclose(c.z(row), best, rtol=0, atol=3e-4 * np.abs(best).max())
+            assert_allclose(c.z(row), best, rtol=0, atol=3e-4 * np.abs(best).max())
             known = lower_bound(nu_of(row), c.contacts.cone_matrix, load, c.contacts.weights)
             assert known == pytest.approx(least, rel=1e-6)
         else:  # the conditions of the optimum, with the prices of the limits as they are given
@@ -100,7 +99,7 @@ def test_newton_finds_the_optimum_of_the_oracle(count: int, kind: str) -> None:
             torsion = oracle.Terms(s.weights, *(a[len(price) :] for a in c.terms[1:]))
             pull = c.matrix.T @ np.linalg.solve(s.unit.T, nu_of(row))
             slope = oracle.derivatives(z, torsion)[0] + c.own[0].T @ price - pull
-            np.testing.assert_allclose(
+            assert_allclose(
                 slope, 0.0, atol=2e-3 * np.abs(gradient(z[: 3 * count], s.weights)).max()
             )
     assert found
@@ -118,7 +117,7 @@ def test_steps_are_the_oracles(count: int, kind: str) -> None:
         made = c.z(after) - c.z(before)
         alpha = float(made @ step) / float(step @ step)
         assert 0.0 < alpha <= 1.0 + 1e-8
-        np.testing.assert_allclose(made, alpha * step, rtol=0, atol=1e-8 * np.abs(step).max())
+        assert_allclose(made, alpha * step, rtol=0, atol=1e-8 * np.abs(step).max())
 
 
 @pytest.mark.parametrize("kind", [*HARD, "some soft", "all soft"])
@@ -148,7 +147,7 @@ def test_a_previous_solution_follows_the_wrench_by_the_tangent_correction(
         )  # the optimum itself, of a large force that grows
         assert (at(row, "start"), at(row, "replaced")) == (START["previous"], 0.0)
         assert at(row, "iterations") == soft
-        np.testing.assert_allclose(c.z(row), z + step, rtol=0, atol=1e-5 * np.abs(step).max())
+        assert_allclose(c.z(row), z + step, rtol=0, atol=1e-5 * np.abs(step).max())
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -188,7 +187,7 @@ def test_the_basis_is_that_of_the_oracle() -> None:
     assert 0.0 <= gap <= 1e-9
     for k, wanted in enumerate(s.basis):
         assert phi(basis[k], s.weights) == pytest.approx(phi(wanted, s.weights), rel=1e-9)
-        np.testing.assert_allclose(basis[k], wanted, rtol=0, atol=1e-3 * np.abs(wanted).max())
+        assert_allclose(basis[k], wanted, rtol=0, atol=1e-3 * np.abs(wanted).max())
         load = [*np.eye(6), *-np.eye(6), np.zeros(6)][k]
         left = s.rows @ basis[k] + s.unit @ load
         assert np.abs(left).max() <= 1e-13 * s.count * (
@@ -225,14 +224,14 @@ def test_starts_are_balanced_and_inside(count: int, name: str) -> None:
         assert at(row, "margin") > 0.0
         if name.startswith("linear"):
             wanted = newton.combine(s.basis, load, name.endswith("printed"))
-            np.testing.assert_allclose(x, wanted, rtol=0, atol=1e-3 * size)
+            assert_allclose(x, wanted, rtol=0, atol=1e-3 * size)
         if name == "single_value":  # the least force, and a multiple of an internal force
             wanted = -s.inverse @ w
             share = float((x - wanted) @ s.rest / (s.rest @ s.rest))
-            np.testing.assert_allclose(x, wanted + share * s.rest, rtol=0, atol=1e-3 * size)
+            assert_allclose(x, wanted + share * s.rest, rtol=0, atol=1e-3 * size)
             assert share >= 1.0 - 1e-3
         solved, _ = made.solve(load, START[name])
-        np.testing.assert_allclose(c.z(solved, "initial"), x, rtol=0, atol=1e-12 * size)
+        assert_allclose(c.z(solved, "initial"), x, rtol=0, atol=1e-12 * size)
         check(c, load, solved, 1e-9)
 
 
@@ -252,9 +251,7 @@ def test_a_given_start_is_one_or_refused(kind: str) -> None:
     force, torsion = c.forces(row)
     given, _ = made.solve(load, START["given"], force=force, torsion=torsion)
     assert (at(given, "start"), at(given, "replaced")) == (START["given"], 0.0)
-    np.testing.assert_allclose(
-        c.forces(given, "initial")[0], force, rtol=0, atol=1e-9 * np.abs(force).max()
-    )
+    assert_allclose(c.forces(given, "initial")[0], force, rtol=0, atol=1e-9 * np.abs(force).max())
     unbalanced = force.copy()
     unbalanced[0] += 1e-5 * np.abs(force).max()
     none = (np.full(12, np.nan), -force, np.zeros(12), 1e13 * force)
@@ -272,7 +269,7 @@ def test_a_given_start_is_one_or_refused(kind: str) -> None:
         check(c, load, made.solve(load, START["previous"], force=bad)[0], 1e-8)
         if kind in HARD:
             check(c, load, made.solve(load, START["guess"], force=bad)[0], 1e-8)
-    np.testing.assert_array_equal(made.solve(load)[0], row)
+    assert_array_equal(made.solve(load)[0], row)
 
 
 @pytest.mark.parametrize("count", SOME)
@@ -296,9 +293,7 @@ def test_a_guess_is_balanced_and_the_best_on_the_way(count: int) -> None:
         assert phi(x, s.weights) <= min(phi(safe, s.weights), phi(moved, s.weights)) * (1.0 + 1e-12)
         assert np.abs(s.rows @ x + w).max() <= 1e-12 * count * (np.abs(x).max() + np.abs(w).max())
         share = float((x - safe) @ (moved - safe) / ((moved - safe) @ (moved - safe)))
-        np.testing.assert_allclose(
-            x, safe + share * (moved - safe), rtol=0, atol=1e-9 * np.abs(moved).max()
-        )
+        assert_allclose(x, safe + share * (moved - safe), rtol=0, atol=1e-9 * np.abs(moved).max())
     assert 0.0 in used
 
 
@@ -323,7 +318,7 @@ def test_the_combination_follows_moved_contacts(count: int) -> None:
             assert at(row, "replaced") == (not grown <= 2.0)
             replaced.add(at(row, "replaced"))
             if grown <= 2.0:
-                np.testing.assert_allclose(
+                assert_allclose(
                     c.z(row, "initial"), wanted, rtol=0, atol=1e-4 * np.abs(wanted).max()
                 )
     assert replaced == {0.0, 1.0}

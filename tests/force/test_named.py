@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from force.clarabel_reference import Reference
 from force.named import CASES, METHODS, NAMED, Named, attempt, judged, value
+from numpy.testing import assert_allclose, assert_array_equal
 
 from grasp_env.force import (
     ForceLimits,
@@ -45,7 +46,7 @@ def check(p: Named, method: str, found: ForceSolution, entry: str) -> None:
     known = p.known[method]
     reference = p.reference()
     assert found.status.value == known["status"], (entry, found)
-    np.testing.assert_array_equal(found.wrench, p.wrench)
+    assert_array_equal(found.wrench, p.wrench)
     if found.status is Status.INFEASIBLE:
         assert not found.force.any(), entry
         assert (found.objective, found.lower_bound) == (np.inf, np.inf), entry
@@ -61,8 +62,8 @@ def check(p: Named, method: str, found: ForceSolution, entry: str) -> None:
     residual = reference.residual(found.force, found.torsion, p.wrench)
     assert residual <= 1e-9 * size + rounding, entry
     assert found.equilibrium_residual == pytest.approx(residual, abs=10.0 * rounding), entry
-    np.testing.assert_array_equal(found.force[reference.transmits[:, 1] == 0.0, 1:], 0.0)
-    np.testing.assert_array_equal(found.torsion[reference.gamma == 0.0], 0.0)
+    assert_array_equal(found.force[reference.transmits[:, 1] == 0.0, 1:], 0.0)
+    assert_array_equal(found.torsion[reference.gamma == 0.0], 0.0)
     held = Reference(p.grasp) if exceeded else reference
     assert held.violation(found.force, found.torsion) <= 1e-14 * max(size, most), entry
     known_to = 1e-14 * float((p.grasp.models.cone_scale * np.abs(found.force)).max()) + rounding
@@ -97,9 +98,9 @@ def check(p: Named, method: str, found: ForceSolution, entry: str) -> None:
         )
         assert float(room @ prices) <= 1e-6 * found.objective, entry
     # vectors along the axes of the positions
-    np.testing.assert_allclose(found.frames, reference.frames, atol=1e-13)
+    assert_allclose(found.frames, reference.frames, atol=1e-13)
     pushed = np.einsum("nij,nj->ni", reference.frames, found.force)
-    np.testing.assert_allclose(found.object_force, pushed, atol=1e-13 * most)
+    assert_allclose(found.object_force, pushed, atol=1e-13 * most)
     limits = p.limits
     if limits is not None and limits.jacobian is not None:
         jac = np.asarray(limits.jacobian)
@@ -109,7 +110,7 @@ def check(p: Named, method: str, found: ForceSolution, entry: str) -> None:
             jac[:, 3:],
             (found.torsion[:, None] * p.grasp.normals)[:, : jac.shape[1] - 3],
         )
-        np.testing.assert_allclose(found.torques, torques, atol=1e-13 * (1.0 + most))
+        assert_allclose(found.torques, torques, atol=1e-13 * (1.0 + most))
 
 
 def elsewhere(p: Named) -> tuple[Grasp, ForceLimits | None, dict[str, Any]]:
@@ -177,8 +178,8 @@ def test_every_entry_point(name: str, method: str) -> None:
     for entry, solution in found.items():
         check(p, method, solution, entry)
     for entry in ("function", "again"):
-        np.testing.assert_array_equal(found[entry]._record, first._record)
-    np.testing.assert_array_equal(pickle.loads(pickle.dumps(first))._record, first._record)
+        assert_array_equal(found[entry]._record, first._record)
+    assert_array_equal(pickle.loads(pickle.dumps(first))._record, first._record)
     # an optimum and a proof have prices, an excess has none
     labels = optimizer.limit_labels
     prices = first.limit_multipliers

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from force.clarabel_reference import Reference
 from force.generators import own_joints, problem
+from numpy.testing import assert_allclose, assert_array_equal
 from problems import PAPER_WRENCH
 
 from grasp_env.errors import (
@@ -113,9 +114,9 @@ def test_the_order_of_calls_does_not_matter(kind: str) -> None:
     forward = [optimizer.solve(LOAD, **call)._record.copy() for call in calls]
     backward = [optimizer.solve(LOAD, **call)._record.copy() for call in calls[::-1]][::-1]
     alone = [ForceOptimizer(grasp, **options).solve(LOAD, **call)._record.copy() for call in calls]
-    np.testing.assert_array_equal(forward, backward)
-    np.testing.assert_array_equal(forward, alone)
-    np.testing.assert_array_equal(forward[0], forward[-1])
+    assert_array_equal(forward, backward)
+    assert_array_equal(forward, alone)
+    assert_array_equal(forward[0], forward[-1])
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -158,15 +159,15 @@ def test_an_update_replaces_the_contacts() -> None:
     first = optimizer.solve(LOAD)
     optimizer.update(**there, friction=0.35, torque_bias=np.full(4, 0.01))
     now = Grasp.from_contacts(**there, friction=0.35)
-    np.testing.assert_array_equal(optimizer.grasp.matrix, now.matrix)
-    np.testing.assert_array_equal(optimizer.limits.torque_bias, 0.01)  # type: ignore[union-attr]
+    assert_array_equal(optimizer.grasp.matrix, now.matrix)
+    assert_array_equal(optimizer.limits.torque_bias, 0.01)  # type: ignore[union-attr]
     limits = ForceLimits(jacobian=SHARED.jacobian, torque_limit=0.9, torque_bias=np.full(4, 0.01))
     want = optimize_force(now, LOAD, limits=limits, initial="linear_combination")
-    np.testing.assert_allclose(optimizer.solve(LOAD).force, want.force, rtol=1e-9, atol=1e-9)
+    assert_allclose(optimizer.solve(LOAD).force, want.force, rtol=1e-9, atol=1e-9)
     optimizer.update(
         positions=FIVE.positions, normals=FIVE.normals, friction=0.4, torque_bias=np.zeros(4)
     )
-    np.testing.assert_allclose(optimizer.solve(LOAD).force, first.force, rtol=1e-9, atol=1e-9)
+    assert_allclose(optimizer.solve(LOAD).force, first.force, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -199,13 +200,13 @@ def test_previous_starts_with_the_methods_own_and_then_remembers(method: str, ow
     assert (first.initial, again.initial, again.iterations) == (own, "previous", 0)
     # a solution given to a function or a call is carried over in the same way
     other = optimize_force(CUBOID, 1.03 * PAPER_WRENCH, method=method, initial=again)
-    np.testing.assert_array_equal(other.force, optimizer.solve(1.03 * PAPER_WRENCH).force)
+    assert_array_equal(other.force, optimizer.solve(1.03 * PAPER_WRENCH).force)
     far = optimize_force(CUBOID, -2.0 * PAPER_WRENCH, method=method)
     other = ForceOptimizer(CUBOID, method=method).solve(PAPER_WRENCH, initial=far)
-    np.testing.assert_array_equal(optimizer.solve(PAPER_WRENCH, initial=far).force, other.force)
+    assert_array_equal(optimizer.solve(PAPER_WRENCH, initial=far).force, other.force)
     optimizer.forget()
     assert optimizer.previous is None
-    np.testing.assert_array_equal(optimizer.solve(PAPER_WRENCH).force, first.force)
+    assert_array_equal(optimizer.solve(PAPER_WRENCH).force, first.force)
 
 
 def test_a_solution_that_was_kept_is_the_previous_one() -> None:
@@ -213,11 +214,11 @@ def test_a_solution_that_was_kept_is_the_previous_one() -> None:
     kept = ForceOptimizer(FIVE, limits=OWN).solve(LOAD)
     optimizer.previous = kept
     assert optimizer.previous is not None
-    np.testing.assert_array_equal(optimizer.previous._record, kept._record)
+    assert_array_equal(optimizer.previous._record, kept._record)
     warm = optimizer.solve(LOAD)
     again = optimizer.solve(LOAD)
     assert (warm.initial, again.initial, again.iterations) == ("previous", "previous", 0)
-    np.testing.assert_array_equal(warm.force, optimize_force(FIVE, LOAD, initial=kept).force)
+    assert_array_equal(warm.force, optimize_force(FIVE, LOAD, initial=kept).force)
     with pytest.raises(InfeasibleStartError, match="4 contacts, the grasp 5"):
         optimizer.previous = optimize_force(CUBOID, LOAD)
     with pytest.raises(InfeasibleWrenchError) as caught:
@@ -230,7 +231,7 @@ def test_a_solution_that_was_kept_is_the_previous_one() -> None:
         InvalidInputError, match="must be a solution with a force, got status infeasible"
     ):
         optimizer.solve(LOAD, initial=caught.value.solution)
-    np.testing.assert_array_equal(optimizer.previous._record, again._record)
+    assert_array_equal(optimizer.previous._record, again._record)
 
 
 def test_the_previous_solution_has_its_own_names() -> None:
@@ -276,7 +277,7 @@ def test_friction_in_pairs_belongs_to_the_touching_contacts() -> None:
     load = -FIVE.wrench(np.tile([1.0, 0.0, 0.0], (5, 1)) * touching[:, None])
     found = ForceOptimizer(ELLIPTIC).solve(load, friction=friction, contacts=touching)
     alone = ForceOptimizer(ELLIPTIC).solve(load, contacts=touching)
-    np.testing.assert_array_equal(found.force, alone.force)
+    assert_array_equal(found.force, alone.force)
 
 
 def test_the_deepest_force_is_that_of_the_constructors_contacts() -> None:
@@ -288,7 +289,7 @@ def test_the_deepest_force_is_that_of_the_constructors_contacts() -> None:
     used = ForceOptimizer(FIVE)
     with suppress(InfeasibleWrenchError):
         used.solve(LOAD, contacts=np.arange(5) > 0)
-    np.testing.assert_array_equal(deepest(used), deepest(ForceOptimizer(FIVE)))
+    assert_array_equal(deepest(used), deepest(ForceOptimizer(FIVE)))
 
 
 def test_a_force_that_exceeds_its_limits_has_no_prices() -> None:
@@ -321,7 +322,7 @@ def test_a_rule_is_given_the_touching_contacts_with_their_tangents() -> None:
 
     with pytest.raises(InfeasibleStartError, match=r"misses balance by \d"):
         ForceOptimizer(grasp, initial=rule).solve(LOAD, contacts=touching)
-    np.testing.assert_allclose(seen[0], np.asarray(grasp.frames)[touching], atol=1e-15)
+    assert_allclose(seen[0], np.asarray(grasp.frames)[touching], atol=1e-15)
 
 
 def test_the_gap_is_a_part_of_the_bound() -> None:
@@ -338,8 +339,8 @@ def test_a_rule_cannot_change_the_wrench() -> None:
 
     load = LOAD.copy()
     solution = ForceOptimizer(FIVE, initial=rule).solve(load)
-    np.testing.assert_array_equal(solution.wrench, LOAD)
-    np.testing.assert_array_equal(load, LOAD)
+    assert_array_equal(solution.wrench, LOAD)
+    assert_array_equal(load, LOAD)
 
 
 @pytest.mark.parametrize(
@@ -428,16 +429,16 @@ def test_numbers_in_any_form_are_the_same_and_answers_are_copies(method: str) ->
         load[::-1].copy()[::-1],
         load.astype(np.float32),
     ):
-        np.testing.assert_array_equal(optimizer.solve(given)._record, want._record)
+        assert_array_equal(optimizer.solve(given)._record, want._record)
     kept = load.copy()
     force = want.force.copy()
     load[:] = 7.0
     optimizer.solve(load)
-    np.testing.assert_array_equal(want.force, force)
-    np.testing.assert_array_equal(want.wrench, kept)
+    assert_array_equal(want.force, force)
+    assert_array_equal(want.wrench, kept)
     loads = np.random.default_rng(0).standard_normal((5, 6)) * np.repeat([1.0, 0.03], 3)
     rows = optimize_forces(CUBOID, loads, method=method)
-    np.testing.assert_array_equal(
+    assert_array_equal(
         optimize_forces(CUBOID, np.asfortranarray(loads), method=method).force, rows.force
     )
 
@@ -545,7 +546,7 @@ def test_words_name_what_the_proof_needs() -> None:
         ForceOptimizer(RING, limits=many).solve(heavy)
     again = pickle.loads(pickle.dumps(caught.value))
     assert str(again) == str(caught.value)
-    np.testing.assert_array_equal(again.solution.certificate, caught.value.solution.certificate)
+    assert_array_equal(again.solution.certificate, caught.value.solution.certificate)
     with pytest.raises(InfeasibleWrenchError) as caught:
         ForceOptimizer(RING, limits=many).solve(heavy, positions=positions)
     positions[:] = np.nan  # the caller overwrites its array before the message is read
