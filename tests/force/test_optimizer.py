@@ -82,10 +82,8 @@ def part_of(limits: ForceLimits | None, chosen: np.ndarray) -> ForceLimits | Non
     """The limits of those contacts; joints stay."""
     if limits is None:
         return None
-    each: dict[str, Any] = {
-        name: getattr(limits, name)
-        for name in ("min_normal", "max_normal", "torque_limit", "torque_bias")
-    }
+    names = ("min_normal", "max_normal", "torque_limit", "torque_bias")
+    each: dict[str, Any] = {name: getattr(limits, name) for name in names}
     jacobian = limits.jacobian
     return ForceLimits(**each, jacobian=None if jacobian is None else np.asarray(jacobian)[chosen])
 
@@ -96,14 +94,8 @@ def test_the_order_of_calls_does_not_matter(kind: str) -> None:
     rough = 0.5 if grasp is not ELLIPTIC else np.tile([0.5, 0.5], (5, 1))
     some = [True, True, True, True, False]
     others = [True, False, True, True, True]
-    calls: list[dict[str, Any]] = [
-        {},
-        moved(0),
-        {"friction": rough},
-        {"contacts": some},
-        {**moved(1), "contacts": others},
-        {},
-    ]
+    there = {**moved(1), "contacts": others}
+    calls: list[dict[str, Any]] = [{}, moved(0), {"friction": rough}, {"contacts": some}, there, {}]
     if kind in ("newton", "reduced_flow"):
         calls += [*({"initial": name} for name in RULES), {}]
     limits = options.get("limits")
@@ -128,15 +120,12 @@ def test_any_contacts_that_touch_are_a_grasp_of_those(kind: str) -> None:
     for bits in range(1, 32):
         touching = np.array([bool(bits >> k & 1) for k in range(5)])
         places = grasp.positions[touching], grasp.normals[touching], grasp.models.friction[touching]
-        models = {
-            "contact_model": grasp.models.names[0],
-            "torsional_friction": 0.005 if grasp is SOFT else None,
-        }
+        gamma = 0.005 if grasp is SOFT else None
+        model = grasp.models.names[0]
+        limits = part_of(options.get("limits"), touching)
         try:
-            part = Grasp.from_contacts(*places, **models)
-            want = optimize_force(
-                part, LOAD, **{**options, "limits": part_of(options.get("limits"), touching)}
-            )
+            part = Grasp.from_contacts(*places, contact_model=model, torsional_friction=gamma)
+            want = optimize_force(part, LOAD, **options | {"limits": limits})
         except GraspError as error:
             with pytest.raises(type(error)):
                 optimizer.solve(LOAD, contacts=touching)
@@ -177,9 +166,7 @@ def test_contacts_on_a_line_lose_their_rank(limits: ForceLimits | None) -> None:
     line = {"positions": [[0, 0, 0], [0, 0, 0.1], [0, 0, 0.2]], "normals": [[1.0, 0, 0]] * 3}
     for method in ("newton", "conic"):
         optimizer = ForceOptimizer(presets.tripod(), method=method, limits=limits)
-        with pytest.raises(
-            InfeasibleWrenchError, match=r"out of reach: rank\(G\) = 5 < 6 with 3 contacts"
-        ):
+        with pytest.raises(InfeasibleWrenchError, match=r"rank\(G\) = 5 < 6 with 3"):
             optimizer.solve(LOAD, **line)
         assert optimizer.solve(0.1 * LOAD).status is Status.OPTIMAL
         optimizer.update(**line)
@@ -223,13 +210,9 @@ def test_a_solution_that_was_kept_is_the_previous_one() -> None:
         optimizer.previous = optimize_force(CUBOID, LOAD)
     with pytest.raises(InfeasibleWrenchError) as caught:
         optimize_force(FIVE, LOAD, limits=ForceLimits(max_normal=0.1))
-    with pytest.raises(
-        InvalidInputError, match="must be a solution with a force, got status infeasible"
-    ):
+    with pytest.raises(InvalidInputError, match="got status infeasible"):
         optimizer.previous = caught.value.solution
-    with pytest.raises(
-        InvalidInputError, match="must be a solution with a force, got status infeasible"
-    ):
+    with pytest.raises(InvalidInputError, match="got status infeasible"):
         optimizer.solve(LOAD, initial=caught.value.solution)
     assert_array_equal(optimizer.previous._record, again._record)
 
@@ -386,15 +369,9 @@ def test_previous_never_fails_where_no_start_is_named(options: dict[str, Any]) -
     tips = np.array([[0.03, 0.0, 0.0], [-0.02, 0.03, 0.0], [-0.02, -0.03, 0.0]])
     floor = Grasp.from_contacts(tips, [[0.0, 0.0, 1.0]] * 3, 0.5)
     cold, warm = (ForceOptimizer(floor, **options, initial=start) for start in (None, "previous"))
+    spread = [0.6, 0.6, 1.5, 0.02, 0.02, 0.002]
     for k in range(120):
-        load = np.array([0.0, 0.0, -3.0, 0.0, 0.0, 0.0]) + rng.standard_normal(6) * [
-            0.6,
-            0.6,
-            1.5,
-            0.02,
-            0.02,
-            0.002,
-        ]
+        load = np.array([0.0, 0.0, -3.0, 0.0, 0.0, 0.0]) + rng.standard_normal(6) * spread
         now = {"positions": tips + 2e-3 * rng.standard_normal((3, 3))} if k % 3 else {}
         want = None
         with suppress(InfeasibleWrenchError):
@@ -422,13 +399,9 @@ def test_numbers_in_any_form_are_the_same_and_answers_are_copies(method: str) ->
     frozen = load.copy()
     frozen.flags.writeable = False
     want = optimizer.solve(load)
-    for given in (
-        load.tolist(),
-        frozen,
-        np.repeat(load, 2)[::2],
-        load[::-1].copy()[::-1],
-        load.astype(np.float32),
-    ):
+    strided = np.repeat(load, 2)[::2]
+    backward = load[::-1].copy()[::-1]
+    for given in (load.tolist(), frozen, strided, backward, load.astype(np.float32)):
         assert_array_equal(optimizer.solve(given)._record, want._record)
     kept = load.copy()
     force = want.force.copy()
@@ -476,9 +449,8 @@ def test_a_proof_is_a_twist_and_prices_of_limits(family: str, method: str) -> No
             assert lack >= -2e-7, index
             proven += 1
             with_prices += bool(solution.limit_multipliers.any())
-            named += (
-                "needs the limits" in str(error) and "friction cone" in str(error).split("needs")[1]
-            )
+            told = str(error)
+            named += "needs the limits" in told and "friction cone" in told.split("needs")[1]
         except GraspError:
             continue
     assert proven > 4
@@ -509,15 +481,10 @@ def test_a_proof_uses_the_limits_of_the_call() -> None:
 
 
 def test_words_name_what_the_proof_needs() -> None:
-    with pytest.raises(
-        InfeasibleWrenchError, match=r"needs the limits contact 0: normal <= 0.3 N.*elastic=True"
-    ):
-        ForceOptimizer(
-            CUBOID, method="conic", limits=ForceLimits(max_normal=[0.3, 90.0, 90.0, 90.0])
-        ).solve(PAPER_WRENCH)
-    with pytest.raises(
-        InfeasibleWrenchError, match=r"inside the friction cones balances"
-    ) as caught:
+    one = ForceLimits(max_normal=[0.3, 90.0, 90.0, 90.0])
+    with pytest.raises(InfeasibleWrenchError, match=r"contact 0: normal <= 0.3 N.*elastic=True"):
+        ForceOptimizer(CUBOID, method="conic", limits=one).solve(PAPER_WRENCH)
+    with pytest.raises(InfeasibleWrenchError, match="friction cones balances") as caught:
         ForceOptimizer(PALM).solve([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
     assert "limits" not in str(caught.value)
     with pytest.raises(InfeasibleWrenchError) as caught:  # it slides
@@ -530,17 +497,14 @@ def test_words_name_what_the_proof_needs() -> None:
     heavy = [0.0, 0.0, 5.0, 0.0, 0.0, 0.0]
     many = ForceLimits(max_normal=0.1)
     exceeded = ForceOptimizer(RING, limits=many, elastic=True).solve(heavy)
-    with pytest.raises(
-        InfeasibleWrenchError,
-        match=rf"excess is {100.0 * exceeded.limit_excess:.3g} % .* elastic=False names",
-    ):
+    told = f"excess is {100.0 * exceeded.limit_excess:.3g} % .* elastic=False names"
+    with pytest.raises(InfeasibleWrenchError, match=told):
         exceeded.raise_for_status()
     proven = optimize_forces(RING, [heavy], limits=many)[0]
-    with pytest.raises(InfeasibleWrenchError, match=r"The error of optimize_force names") as caught:
+    with pytest.raises(InfeasibleWrenchError, match="optimize_force names") as caught:
         proven.raise_for_status()
-    assert f"The twist is {[round(v, 6) for v in proven.certificate.tolist()]}." in str(
-        caught.value
-    )
+    twist = [round(v, 6) for v in proven.certificate.tolist()]
+    assert f"The twist is {twist}." in str(caught.value)
     positions = RING.positions.copy()
     with pytest.raises(InfeasibleWrenchError, match="and 6 more") as caught:
         ForceOptimizer(RING, limits=many).solve(heavy)
