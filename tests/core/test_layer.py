@@ -60,18 +60,15 @@ def batch(kind: str, size: int = 19) -> Batch:
     made["wrench"] = rng.normal(size=(size, 6)) * [1, 1, 1, 0.03, 0.03, 0.03]
     made["force_weight"], made["barrier_weight"] = np.full((size, 4), 1.3), np.full((size, 4), 0.01)
     if "elliptic" in kind:
-        made["friction"], made["tangents"] = (
-            rng.uniform(0.3, 0.7, (size, 4, 2)),
-            rng.normal(size=(size, 4, 3)),
-        )
+        made["friction"] = rng.uniform(0.3, 0.7, (size, 4, 2))
+        made["tangents"] = rng.normal(size=(size, 4, 3))
     if "soft" in kind:
         made["torsion"] = rng.uniform(0.002, 0.01, (size, 4))
     if "own" in kind or "shared" in kind:
         jacobian = np.zeros((size, 4, 6 if "soft" in kind else 3, 12))
         for i in range(4):
-            jacobian[:, i, :, 3 * i : 3 * i + 3] = (
-                rng.normal(size=(*jacobian.shape[:1], jacobian.shape[2], 3)) * 0.05
-            )
+            own = rng.normal(size=(size, jacobian.shape[2], 3)) * 0.05
+            jacobian[:, i, :, 3 * i : 3 * i + 3] = own
         if "shared" in kind:
             jacobian += rng.normal(size=jacobian.shape) * 0.01
         made["jacobian"], made["torque_bias"] = jacobian, rng.normal(size=(size, 12)) * 0.01
@@ -79,9 +76,7 @@ def batch(kind: str, size: int = 19) -> Batch:
     if "normal" in kind:
         made["min_normal"], made["max_normal"] = np.full((size, 4), 0.2), np.full((size, 4), 6.0)
     if "adrift" in kind:  # all of them push up, and so does the load
-        made["normals"] = (
-            np.tile([0.1, 0.0, 1.0], (size, 4, 1)) + rng.normal(size=(size, 4, 3)) * 0.05
-        )
+        made["normals"] = [0.1, 0.0, 1.0] + rng.normal(size=(size, 4, 3)) * 0.05
         made["wrench"][:, 2] = 1.0 + np.abs(made["wrench"][:, 2])
     return made
 
@@ -134,9 +129,7 @@ def test_gradients_are_central_differences_of_the_answers(kind: str) -> None:
     given = rows(batch(kind), slice(0, 8))
     rng = np.random.default_rng(3)
     answer = solved(given)
-    assert (answer[4][:, 0] == OPTIMAL).all() == (
-        kind.split()[0] != "adrift" and "tight" not in kind
-    )
+    assert (answer[4][:, 0] == OPTIMAL).all() == ("adrift" not in kind and "tight" not in kind)
     by = loss(kind, answer)
     made = differentiated(given, answer[0], by)
     size = sum(np.abs(b * a).sum() for b, a in zip(by, answer[1:4], strict=True))
@@ -162,12 +155,8 @@ def test_gradients_are_central_differences_of_the_answers(kind: str) -> None:
         # differences lose the last digits of the answers over the step; elastic forces beside very
         # stiff limits have fewer
         rounding = 1e-12 if "tight" in kind else 1e-13
-        np.testing.assert_allclose(
-            flat.sum(1),
-            expected,
-            rtol=2e-6,
-            atol=rounding * size / step + 1e-6 * np.abs(flat).sum(1).max(),
-        )
+        near = rounding * size / step + 1e-6 * np.abs(flat).sum(1).max()
+        np.testing.assert_allclose(flat.sum(1), expected, rtol=2e-6, atol=near)
 
 
 @pytest.mark.parametrize(
@@ -181,35 +170,20 @@ def test_an_optimum_is_that_of_the_front(kind: str) -> None:
     assert (facts[:, 2] < 1e-13 * np.abs(force).max()).all()
     for k in range(0, len(force), 6):
         one = mapped(given, lambda each, k=k: each[k])
-        soft = (
-            {}
-            if one["torsion"] is None
-            else {"contact_model": "soft", "torsional_friction": one["torsion"]}
-        )
+        more = {"tangents": one["tangents"]}
+        if one["torsion"] is not None:
+            more |= {"contact_model": "soft", "torsional_friction": one["torsion"]}
         normals = one["normals"] / np.linalg.norm(one["normals"], axis=1, keepdims=True)
-        grasp = Grasp.from_contacts(
-            one["positions"], normals, one["friction"], tangents=one["tangents"], **soft
-        )
-        limits = {
-            name: one[name]
-            for name in ("jacobian", "torque_limit", "torque_bias", "min_normal", "max_normal")
-            if one[name] is not None
-        }
-        found = optimize_force(
-            grasp,
-            one["wrench"],
-            tolerance=1e-13,
-            force_weight=1.3,
-            limits=ForceLimits(**limits) if limits else None,
-        )
-        # the square root of a gap of 1e-13
-        np.testing.assert_allclose(force[k], found.object_force, atol=1e-6 * np.abs(force[k]).max())
-        np.testing.assert_allclose(
-            torsion[k], found.torsion, atol=1e-6 * np.abs(force[k]).max() * 0.01
-        )
-        np.testing.assert_allclose(
-            multipliers[k], found.multipliers, rtol=1e-4, atol=1e-5 * np.abs(multipliers[k]).max()
-        )
+        grasp = Grasp.from_contacts(one["positions"], normals, one["friction"], **more)
+        given_limits = {name: one[name] for name in NAMES[6:11] if one[name] is not None}
+        limits = ForceLimits(**given_limits) if given_limits else None
+        options = {"tolerance": 1e-13, "force_weight": 1.3, "limits": limits}
+        found = optimize_force(grasp, one["wrench"], **options)
+        near = 1e-6 * np.abs(force[k]).max()  # the square root of a gap of 1e-13
+        np.testing.assert_allclose(force[k], found.object_force, atol=near)
+        np.testing.assert_allclose(torsion[k], found.torsion, atol=0.01 * near)
+        near = 1e-5 * np.abs(multipliers[k]).max()
+        np.testing.assert_allclose(multipliers[k], found.multipliers, rtol=1e-4, atol=near)
 
 
 @pytest.mark.parametrize("kind", ["hard", "soft shared normal", "soft own tight", "adrift"])
@@ -227,10 +201,8 @@ def test_an_answer_and_its_gradient_depend_on_no_neighbour(kind: str) -> None:
     answer = solved(mixed)
     by = loss(kind, answer)
     gradients = differentiated(mixed, answer[0], by)
-    assert all(
-        np.isfinite(each).all()
-        for each in (*answer[:4], *(g for g in gradients.values() if g is not None))
-    )
+    slopes = (each for each in gradients.values() if each is not None)
+    assert all(np.isfinite(each).all() for each in (*answer[:4], *slopes))
     assert answer[4][5, 0] == REFUSED
     assert not answer[1][5].any()
     for k in range(len(wrench)):
@@ -239,11 +211,8 @@ def test_an_answer_and_its_gradient_depend_on_no_neighbour(kind: str) -> None:
         for a, b in zip(answer, alone, strict=True):
             assert (a[k : k + 1] == b).all()
         found = differentiated(one, alone[0], tuple(each[k : k + 1] for each in by))
-        assert all(
-            (gradients[name][k] == each[0]).all()
-            for name, each in found.items()
-            if each is not None
-        )
+        for name, each in found.items():
+            assert each is None or (gradients[name][k] == each[0]).all()
 
 
 @pytest.mark.parametrize("kind", ["own tight", "adrift", "adrift own soft"])
@@ -253,17 +222,12 @@ def test_masked_problems_have_no_gradient_and_their_forces_stay_inside(kind: str
     assert (facts[:, 0] != OPTIMAL).all()
     assert (state[:, -1] > 1.0).all()
     assert np.isinf(facts[:, 1]).all()
-    assert not any(
-        each.any()
-        for each in differentiated(given, state, loss(kind, answer), elastic=False).values()
-        if each is not None
-    )
+    slopes = differentiated(given, state, loss(kind, answer), elastic=False)
+    assert not any(each.any() for each in slopes.values() if each is not None)
     unit = given["normals"] / np.linalg.norm(given["normals"], axis=2, keepdims=True)
     normal = (force * unit).sum(2)
-    assert (
-        np.linalg.norm(force - normal[:, :, None] * unit, axis=2)
-        < given["friction"][:, :, 0] * normal
-    ).all()
+    side = np.linalg.norm(force - normal[:, :, None] * unit, axis=2)
+    assert (side < given["friction"][:, :, 0] * normal).all()
     if kind == "own tight":
         made = np.concatenate([force.sum(1), np.cross(given["positions"], force).sum(1)], 1)
         assert np.abs(made + given["wrench"]).max() < 1e-12 * np.abs(force).max()
@@ -273,14 +237,11 @@ def test_problems_are_read_in_any_layout() -> None:
     given = batch("hard", 20)
     plain = solved(given)
     double = mapped(given, lambda each: each.astype(np.float32).astype(np.float64))
-    shared = given | {
-        name: None if given[name] is None else given[name][0] for name in NAMES if name != "wrench"
-    }
+    shared = mapped(given, lambda each: each[0]) | {"wrench": given["wrench"]}
     shared |= {"friction": shared["friction"][:, 0], "force_weight": 1.3, "barrier_weight": 0.01}
     spread = mapped(given, lambda each: np.stack([each[0]] * 20)) | {"wrench": given["wrench"]}
-    turned = given | {
-        name: np.asfortranarray(given[name]) for name in ("positions", "friction", "wrench")
-    }
+    columns = ("positions", "friction", "wrench")
+    turned = given | {name: np.asfortranarray(given[name]) for name in columns}
     turned["normals"] = np.repeat(given["normals"], 2, axis=0)[::2]
     folded = mapped(given, lambda each: each.reshape(4, 5, *each.shape[1:]))
     crossed = shared | {"wrench": given["wrench"].reshape(4, 5, 6), "normals": given["normals"][:5]}
@@ -288,13 +249,8 @@ def test_problems_are_read_in_any_layout() -> None:
     single = mapped(given, lambda each: each.astype(np.float32))
     assert (read(given).lead, read(folded).lead, read(crossed).lead) == ((20,), (4, 5), (4, 5))
     assert (read(given).float32, read(single).float32) == (False, True)
-    for one, wanted in (
-        (shared, solved(spread)),
-        (turned, plain),
-        (single, solved(double)),
-        (folded, plain),
-        (crossed, solved(every)),
-    ):
+    pairs = [(shared, solved(spread)), (turned, plain), (single, solved(double))]
+    for one, wanted in (*pairs, (folded, plain), (crossed, solved(every))):
         for a, b in zip(solved(one), wanted, strict=True):
             assert (a.reshape(b.shape) == b).all()
 
@@ -326,24 +282,13 @@ def test_wrong_problems_are_not_read(wrong: dict[str, object]) -> None:
 def test_arrays_to_write_are_checked() -> None:
     problems = read(batch("hard", 2))
     count = 4
-    shapes = (
-        (2, count, 3),
-        (2, count),
-        (2, 6),
-        (2, _core.LAYER_FACTS),
-        (2, _core.layer_state_size(count)),
-    )
-    arrays = [np.zeros(shape) for shape in shapes]
+    sizes = ((count, 3), (count,), (6,), (_core.LAYER_FACTS,), (_core.layer_state_size(count),))
+    arrays = [np.zeros((2, *size)) for size in sizes]
     for k, right in enumerate(arrays):
         read_only = right.copy()
         read_only.flags.writeable = False
-        for bad in (
-            right[:1],
-            right.astype(np.float32),
-            np.broadcast_to(right[:1], shapes[k]),
-            None,
-            read_only,
-        ):
+        spread = np.broadcast_to(right[:1], right.shape)
+        for bad in (right[:1], right.astype(np.float32), spread, None, read_only):
             with pytest.raises(TypeError, match="expected C-contiguous"):
                 problems.solve((0, 2), (1e-10, 300), (*arrays[:k], bad, *arrays[k + 1 :]))
     for start, stop in ((-1, 1), (0, 3), (2, 1)):
