@@ -156,10 +156,8 @@ def test_the_basis_holds_optima_combines_them_and_moves(grasp: Grasp) -> None:
         warm = basis.moved_to(there)
         cold = OfflineBasis.compute(there, basis.objective)
         assert OfflineBasis.of(there, basis.objective) is warm
-        assert (
-            np.abs(warm.cone_forces - cold.cone_forces).max()
-            <= 1e-4 * np.abs(cold.cone_forces).max()
-        )
+        apart = np.abs(warm.cone_forces - cold.cone_forces).max()
+        assert apart <= 1e-4 * np.abs(cold.cone_forces).max()
 
 
 def test_repair_is_never_worse_than_the_combination() -> None:
@@ -249,11 +247,8 @@ def test_a_guess_of_which_nothing_is_left_is_reported(
     for wrench, many in zip(loads, optimize_forces(CUBOID, loads, **options), strict=True):
         found = optimizer.solve(wrench)
         reported = found.start_replaced
-        assert (
-            found.initial
-            == many.initial
-            == ("linear_combination (squeeze was replaced)" if reported else "squeeze")
-        )
+        told = "linear_combination (squeeze was replaced)" if reported else "squeeze"
+        assert found.initial == many.initial == told
         assert many.start_replaced is pickle.loads(pickle.dumps(found)).start_replaced is reported
         paper = LinearCombination()(CUBOID, wrench)
         assert reported == (np.abs(found.initial_force - paper).max() < 1e-9)
@@ -268,9 +263,7 @@ def test_without_closure_only_phase_one_has_a_start() -> None:
     down = np.array([0.0, 0.0, -2.0, 0.0, 0.0, 0.0])
     for name in ("linear_combination", "single_value", "lagrange"):
         for call in (initial_rule(name), partial(optimize_force, initial=name)):
-            with pytest.raises(
-                InfeasibleStartError, match=r"no force closure.*initial='phase_one'"
-            ):
+            with pytest.raises(InfeasibleStartError, match=r"no force closure.*='phase_one'"):
                 call(FLOOR, down)
     for initial in (None, "previous"):  # no start was named, or there is no previous solution yet
         for method in ("newton", "reduced_flow"):
