@@ -141,10 +141,8 @@ def test_a_previous_solution_follows_the_wrench_by_the_tangent_correction(
                 newton.tangent_correction(z, c.matrix, c.contacts.unit @ now, c.contacts.weights)
                 - z
             )
-        assert at(row, "code") in (
-            LIMIT,
-            CONVERGED,
-        )  # the optimum itself, of a large force that grows
+        # the optimum itself, of a large force that grows
+        assert at(row, "code") in (LIMIT, CONVERGED)
         assert (at(row, "start"), at(row, "replaced")) == (START["previous"], 0.0)
         assert at(row, "iterations") == soft
         assert_allclose(c.z(row), z + step, rtol=0, atol=1e-5 * np.abs(step).max())

@@ -49,13 +49,9 @@ def test_contact_forces_keep_their_numbers_in_another_frame() -> None:
     rng = np.random.default_rng(3)
     plain = random_grasp(np.random.default_rng(3), 5)
     models = ["hard", "soft", "hard", "frictionless", "soft"]
-    mixed = Grasp.from_contacts(
-        plain.positions,
-        plain.normals,
-        rng.uniform(0.2, 0.7, (5, 2)),
-        contact_model=models,
-        torsional_friction=0.01,
-    )
+    soft = {"contact_model": models, "torsional_friction": 0.01}
+    mu = rng.uniform(0.2, 0.7, (5, 2))
+    mixed = Grasp.from_contacts(plain.positions, plain.normals, mu, **soft)
     for grasp in (*GRASPS.values(), mixed):
         turn, shift = pose(rng)
         moved = transformed(grasp, turn, shift)
