@@ -52,6 +52,10 @@ def placed(positions: Any) -> Callable[[], Grasp]:
         (made(positions="here"), "positions must be numbers"),
         (made(positions=[[0.0, 0.0, 0.0], [1.0]]), "positions must be numbers"),
         (made(positions=POSITIONS * np.nan), "positions must be finite, got .*nan"),
+        (
+            made(positions=POSITIONS * np.nan, normals=NORMALS * np.nan),
+            r"positions .*; normals must",
+        ),
         (made(positions=1e9 * POSITIONS), "give them in metres"),
         (made(positions=POSITIONS + 1e6), "put the object frame's origin near the contacts"),
         (made(positions=[], normals=NORMALS[:2]), "positions must have shape"),
