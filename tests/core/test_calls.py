@@ -22,7 +22,7 @@ from cases import (
     at,
     case,
 )
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 from oracles import network as network_oracle
 from oracles.phi import phi
 from samples import Sample, sample, wrenches

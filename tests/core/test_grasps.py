@@ -9,7 +9,7 @@ import _core_test as insides
 import numpy as np
 import pytest
 from cases import START, STARTED
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 from samples import Sample, random_contacts, thinned, with_frictionless, wrenches
 
 from grasp_env.core import _core

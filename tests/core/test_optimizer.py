@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from cases import CONVERGED, FIELDS, LIMIT, REFUSED, START, STARTED, Case, at, case, nu_of
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 from oracles import limits as oracle
 from oracles import newton
 from oracles.phi import gradient, lower_bound, phi
