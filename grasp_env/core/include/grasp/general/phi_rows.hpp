@@ -66,7 +66,10 @@ template <class R, int D> class PhiRows {
     Direction step{};
     const auto find = [&](Code& code) {
       step = find_step();
-      if (!(step.decrement < infinity)) return code = certified() ? CONVERGED : STALLED, Next::stop;
+      if (!(step.decrement < infinity)) {
+        code = certified() ? CONVERGED : STALLED;
+        return Next::stop;
+      }
       if (const R found = known ? bound : lower_bound();
           known || !(found <= bound) || !(bound > -infinity)) {
         bound = found;

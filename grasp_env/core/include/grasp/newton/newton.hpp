@@ -197,11 +197,16 @@ template <class V, int B, class Rows = NoRows> class NewtonSolver {
         leaping = false;
         ++at.trials;
         at.value = step.reach < 0.99 ? cones.phi_along(x, step_, 1.0, rows) : infinity;
-        if (!(at.value < infinity)) return code = REFUSED, Next::stop;
+        if (!(at.value < infinity)) {
+          code = REFUSED;
+          return Next::stop;
+        }
         move(1.0);
         at.bound = cones.lower_bound(at.nu, w, x, tight, rows);
         if (!closed()) return Next::repeat;
-        return ++at.iterations, code = CONVERGED, Next::stop;
+        ++at.iterations;
+        code = CONVERGED;
+        return Next::stop;
       }
       if constexpr (Rows::has_terms) {
         const Verdict now = rows.judge(cones, at.nu, w, step.decrement / at.value, at.iterations);
@@ -210,7 +215,10 @@ template <class V, int B, class Rows = NoRows> class NewtonSolver {
           at.bound = -infinity;
         }
         if (now == Verdict::sharpened && at.iterations < call.stop.limit) return Next::repeat;
-        if (now == Verdict::infeasible) return code = INFEASIBLE, Next::stop;
+        if (now == Verdict::infeasible) {
+          code = INFEASIBLE;
+          return Next::stop;
+        }
         if (now != Verdict::proceed) return Next::stop;
       }
       if (!at.known && (By::promises_tolerance(at.value, step.decrement, tolerance) ||
