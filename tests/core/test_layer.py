@@ -176,7 +176,9 @@ def test_an_optimum_is_that_of_the_front(kind: str) -> None:
             else {"contact_model": "soft", "torsional_friction": one["torsion"]}
         )
         normals = one["normals"] / np.linalg.norm(one["normals"], axis=1, keepdims=True)
-        grasp = Grasp.from_contacts(one["positions"], normals, one["friction"], **soft)
+        grasp = Grasp.from_contacts(
+            one["positions"], normals, one["friction"], tangents=one["tangents"], **soft
+        )
         given_limits = {name: one[name] for name in NAMES[6:11] if one[name] is not None}
         limits = ForceLimits(**given_limits) if given_limits else None
         options = {"tolerance": 1e-13, "force_weight": 1.3, "limits": limits}
