@@ -91,14 +91,14 @@ def run(settings: HandLoopSettings) -> pd.DataFrame:
     """
     rows: list[dict[str, Any]] = []
     for language in settings.language:
-        told = measure(settings.hand, settings.rate, settings.seconds, language)
+        measured = measure(settings.hand, settings.rate, settings.seconds, language)
         keys = {"hand": settings.hand, "method": language}
-        for case, times in ((UPDATE, told.durations), (TRIP, told.trips.values())):
+        for case, times in ((UPDATE, measured.durations), (TRIP, measured.trips.values())):
             rows += [
                 {**keys, "case": case, "problem": k, "latency": 1e6 * value}
                 for k, value in enumerate(times)
             ]
-        rows.append({**keys, "case": WHOLE, "problem": 0, **told.counts})
+        rows.append({**keys, "case": WHOLE, "problem": 0, **measured.counts})
     return table(rows)
 
 
@@ -396,7 +396,7 @@ def serve(channel: socket.socket, hand: HandDescription, rate: float, friction: 
         last = now
         updates = updates + 1
         c = controller
-        told = [
+        header = [
             number,
             heard,
             updates,
@@ -406,7 +406,7 @@ def serve(channel: socket.socket, hand: HandDescription, rate: float, friction: 
             shown.STATUSES.index(c.status),
         ]
         with suppress(BlockingIOError, ConnectionError):
-            channel.send(np.concatenate([told, commands, c.torques]).tobytes())
+            channel.send(np.concatenate([header, commands, c.torques]).tobytes())
 
 
 def draw(rows: pd.DataFrame, words: Mapping[str, str]) -> Figure:

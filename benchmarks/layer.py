@@ -341,12 +341,12 @@ BENCHMARK = Benchmark(
         _takes("hard", FORWARD, 1, 60.0),
         *(
             _faster(name, batch, least)
-            for name, asked in {
+            for name, targets in {
                 "cvxpylayers": (50.0, 100.0, 200.0),
                 "cvxpylayers_clarabel": (50.0, 100.0, 200.0),
                 "moreau": (1.5, 15.0, 30.0),
             }.items()
-            for batch, least in zip((1, 32, 1000), asked, strict=True)
+            for batch, least in zip((1, 32, 1000), targets, strict=True)
         ),
         *(
             Claim(

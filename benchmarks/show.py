@@ -66,7 +66,7 @@ def as_json(
     """Return one object with the description of the run, its summary and claims."""
     found = summarised(rows)
     claims = [
-        {"claim": row.claim.name, "asked": row.asked, "measured": row.measured, "met": row.met}
+        {"claim": row.claim.name, "target": row.target, "measured": row.measured, "met": row.met}
         for row in judge(benchmark.claims, found)
     ]
     tables = {"rows": found} | (

@@ -148,7 +148,7 @@ def targets(kind: str) -> Callable[[], str]:
             [
                 {
                     "": row.claim.name,
-                    "target": row.asked,
+                    "target": row.target,
                     "measured": row.found,
                     "met": VERDICTS[row.met],
                 }
@@ -368,13 +368,13 @@ def hand_loop() -> str:
         {"controller": names[row["method"]], "time": row["case"], "n": row["n"], **latencies(row)}
         for row in chosen(means, "case != 'run'").to_dict("records")
     ]
-    told = [
+    sentences = [
         f"{names[row['method']]}: {row['lost_sum']:.0f} messages lost, {row['unanswered_sum']:.0f} replaced by a newer one, {row['late_sum']:.0f} updates "
         f"after a missed deadline, {row['over_budget_sum']:.0f} over budget, the simulated hand late in {row['behind_sum']:.0f} steps; "
         f"the ball moved by at most {row['drift_max']:.2f} mm."
         for row in chosen(means, "case == 'run'").to_dict("records")
     ]
-    return markdown("hand_loop", pd.DataFrame(made), "\n".join(told))
+    return markdown("hand_loop", pd.DataFrame(made), "\n".join(sentences))
 
 
 def latencies(row: dict[str, Any]) -> dict[str, str]:
@@ -399,10 +399,10 @@ def objects() -> str:
             made.setdefault(name, {"gravity; random wrench, in Bullet": name})[hand] = (
                 f"{gravity}; {random}"
             )
-    told = []
+    sentences = []
     for engine, found in means.groupby("engine", sort=False):
         sums = found.groupby("case")[["held_sum", "n"]].sum()
-        told.append(
+        sentences.append(
             f"{engine}: "
             + ", ".join(
                 f"{label} {sums.loc[case, 'held_sum']:.0f} of {sums.loc[case, 'n']:.0f}"
@@ -413,9 +413,7 @@ def objects() -> str:
                 )
             )
         )
-    note = (
-        f'All pairs, by engine (`faces`: Bullet with `mesh_contacts="faces"`). {"; ".join(told)}.'
-    )
+    note = f'All pairs, by engine (`faces`: Bullet with `mesh_contacts="faces"`). {"; ".join(sentences)}.'
     return markdown("objects", pd.DataFrame(made.values()), note)
 
 
@@ -485,10 +483,10 @@ def overview() -> str:
         [
             "largest difference of the holding rate between MuJoCo and Bullet",
             engines.found,
-            f"target: {engines.asked}",
+            f"target: {engines.target}",
         ],
         *(
-            [f"**missed**: {name}", one.found + unit, f"target: {one.asked}{unit}"]
+            [f"**missed**: {name}", one.found + unit, f"target: {one.target}{unit}"]
             for kind in ("starts", "layer", "env", "env_speed")
             for one in judged(kind)
             if one.met is False

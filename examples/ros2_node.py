@@ -49,7 +49,10 @@ class HandNode(LifecycleNode):
         self.controller, self.newest, self.timer = HandController(), dict.fromkeys(INPUTS), None
         for topic, kind in INPUTS.items():
             self.create_subscription(
-                kind, topic, lambda told, topic=topic: self.newest.update({topic: told}), NEWEST
+                kind,
+                topic,
+                lambda message, topic=topic: self.newest.update({topic: message}),
+                NEWEST,
             )
         self.publisher = self.create_lifecycle_publisher(JointState, "joint_commands", 1)
         self.declare_parameters("", [*PARAMETERS.items()])

@@ -143,8 +143,8 @@ def described(file: Path, schema: str, what: str, command: str, most: int = TEXT
         meta = json.loads(blob.decode())
         found = meta.get("schema") if isinstance(meta, dict) else None
         if found != schema:
-            told = f"has schema {shown(found)}, this version reads {schema!r}: train anew with `{command}`"
-            raise ModelFileError(f"{what} {file} {told}")
+            fault = f"has schema {shown(found)}, this version reads {schema!r}: train anew with `{command}`"
+            raise ModelFileError(f"{what} {file} {fault}")
         if meta.pop("sha256", None) != signature(meta):  # which refuses nan
             raise ModelFileError(
                 f"{what} {file} does not match its own sha256: it was changed{again}"

@@ -147,8 +147,8 @@ def common_device(given: Sequence[Any]) -> torch.device:
     device = getattr(given[0], "device", torch.device("cpu"))
     for a, name in zip(given, NAMES, strict=True):
         if isinstance(a, Tensor) and a.device != device:
-            told = f"positions on {device} and {name} on {a.device}"
-            raise InvalidInputError(f"all tensors must be on one device, got {told}")
+            devices = f"positions on {device} and {name} on {a.device}"
+            raise InvalidInputError(f"all tensors must be on one device, got {devices}")
     return device
 
 
@@ -161,9 +161,9 @@ def common_lead(tensors: Sequence[Tensor | None]) -> torch.Size:
     try:
         return torch.broadcast_shapes(*leads)
     except RuntimeError:
-        told = ", ".join(
+        shapes = ", ".join(
             f"{name} {tuple(a.shape)}"
             for name, a in zip(NAMES, tensors, strict=False)
             if a is not None
         )
-        raise InvalidInputError(f"leading dimensions must broadcast, got {told}") from None
+        raise InvalidInputError(f"leading dimensions must broadcast, got {shapes}") from None

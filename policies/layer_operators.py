@@ -149,14 +149,14 @@ def raise_for(status: Tensor, lead: Sequence[int]) -> None:
     places = lost.reshape(lead).nonzero().tolist()
     if not places:
         return
-    told = [
+    failures = [
         f"{k[0] if len(k) == 1 else tuple(k) or 'the only one'}: {STATUS[int(code)]}"
         for k, code in zip(places[:5], status[lost][:5], strict=True)
     ]
     if len(places) > 5:
-        told.append(f"and {len(places) - 5} more")
+        failures.append(f"and {len(places) - 5} more")
     raise InfeasibleWrenchError(
-        f"{len(places)} of {len(status)} elements have no optimal force ({', '.join(told)}): "
+        f"{len(places)} of {len(status)} elements have no optimal force ({', '.join(failures)}): "
         "infeasible='mask' gives them the nearest force without a gradient, 'elastic' with one"
     )
 

@@ -85,7 +85,7 @@ def _run(given: Any) -> int:
     run = Run.create(given.out, given.name or default_name("force"))
     before = unit()
     effort = QUICK if given.quick else Effort()
-    found, told = measured(tracks, chosen, effort, tick)
+    found, descriptions = measured(tracks, chosen, effort, tick)
     rows = table(found)
     tick("")
     about = {
@@ -95,7 +95,7 @@ def _run(given: Any) -> int:
         "unit": min(before, unit()),
         "load": os.getloadavg(),
         "tracks": {track.name: track.about["sha256"] for track in tracks},
-        "entrants": told,
+        "entrants": descriptions,
     }
     run.save(rows, about)
     run.write_text("profiles.svg", svg(profiles(rows)))

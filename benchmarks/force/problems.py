@@ -309,8 +309,8 @@ def load(name: str, folder: Path = SETS) -> Track:
             about,
         )
         if track.digest() != about["sha256"]:
-            told = f"their SHA-256 is {track.digest()}, expected {about['sha256']}"
-            raise ValueError(f"it does not hold the problems of {name}.json: {told}")
+            digests = f"their SHA-256 is {track.digest()}, expected {about['sha256']}"
+            raise ValueError(f"it does not hold the problems of {name}.json: {digests}")
         return track
 
     again = "; make it again with `python -m benchmarks.force generate`"

@@ -166,13 +166,13 @@ def by_track(rows: Rows, objective: str, ours: set[str]) -> Rows:
     return pd.DataFrame(out)
 
 
-def by_entrant(rows: Rows, told: dict[str, Any]) -> Rows:
+def by_entrant(rows: Rows, descriptions: dict[str, Any]) -> Rows:
     """Return a row for each entrant and objective: numbers of solved problems, and its notes."""
     ran = _ran(rows)
     out = []
     for (objective, method), part in ran.groupby(["objective", "method"], sort=False):
         row = _standing(method, part)
-        seconds = told.get(str(method), {}).get("training_seconds")
+        seconds = descriptions.get(str(method), {}).get("training_seconds")
         division = row["division"] + (f", trained {number(seconds)} s" if seconds else "")
         out.append(
             {
@@ -184,7 +184,7 @@ def by_entrant(rows: Rows, told: dict[str, Any]) -> Rows:
                 "proved": row["proved"],
                 "wrong": row["wrong"],
                 "tracks": part["case"].nunique(),
-                "settings": told.get(str(method), {}).get("note", ""),
+                "settings": descriptions.get(str(method), {}).get("note", ""),
             }
         )
     return pd.DataFrame(out)

@@ -264,7 +264,7 @@ def measured(
         and the notes of the entrants.
     """
     rows: Rows = []
-    told: dict[str, dict[str, Any]] = {}
+    descriptions: dict[str, dict[str, Any]] = {}
     cells = (
         (track, *each)
         for track in tracks
@@ -293,7 +293,7 @@ def measured(
         _take_turns(ready, effort, lambda text, track=track: tell(f"{track.name}: {text}"))
         for name, each in ready.items():
             solver = each[0].solver
-            told[name] = {
+            descriptions[name] = {
                 which: getattr(solver, which)
                 for which in ("note", "training_seconds")
                 if hasattr(solver, which)
@@ -305,7 +305,7 @@ def measured(
             }
             for session, timed in zip(sessions, each, strict=True):
                 rows += [key | row for row in _scored(session, timed)]
-    return rows, told
+    return rows, descriptions
 
 
 def unit() -> float:

@@ -106,7 +106,7 @@ def test_claims_are_all_measured_missed_ones_first_and_can_be_missed(held, capsy
     folder, text = held
     folder.path("report.html").unlink()
     assert main(["report", str(folder.folder)]) == 0
-    assert "asked" in capsys.readouterr().out
+    assert "target" in capsys.readouterr().out
     assert folder.path("report.html").read_text() == text
     rows, about = small_run().folder.load()
     claims = judge(claims_of(about), summary(rows))
@@ -129,13 +129,13 @@ def test_hold_rates_mark_the_chosen_setting_and_count_failures(held):
     picked = means[means["chosen"]].set_index(["case", "controller"])
     varied = means[means["case"].isin(["mild", "all"]) & (means["controller"] != "estimated")]
     for (case, key), curve in varied.groupby(["case", "controller"]):
-        enough = curve[curve["held_mean"] >= holds_page.ASKED_RATE]
+        enough = curve[curve["held_mean"] >= holds_page.TARGET_RATE]
         best = picked.loc[(case, key)]
         if len(enough):  # of the settings that hold, the one with the least squeeze
             assert best["normal_force_mean"] == enough["normal_force_mean"].min()
         else:
             assert best["held_mean"] == curve["held_mean"].max()
-    assert any((means["chosen"] & (means["held_mean"] >= holds_page.ASKED_RATE)).tolist())
+    assert any((means["chosen"] & (means["held_mean"] >= holds_page.TARGET_RATE)).tolist())
     lost = {
         "case": "objects",
         "controller": "pd",

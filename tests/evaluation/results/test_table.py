@@ -319,5 +319,5 @@ def test_missing_numbers_miss_a_claim_and_missed_claims_come_first():
         ("no case lacks it", True),
     ]
     text = "\n".join(lines(judged))
-    assert text.startswith("MISSED  missed\n        asked <= 1 mm; measured 0.5 mm\n")
+    assert text.startswith("MISSED  missed\n        target <= 1 mm; measured 0.5 mm\n")
     assert "not measured in this run" in text

@@ -39,7 +39,7 @@ WORDS = (
     ),
     ("interval", "95 % Wilson interval of a rate."),
 )
-ASKED_RATE = 0.99
+TARGET_RATE = 0.99
 _PAPER = "controller == 'paper'"
 CLAIMS = {
     "env": (
@@ -48,14 +48,14 @@ CLAIMS = {
             f"case == 'objects' and {_PAPER}",
             "held_mean",
             ">=",
-            ASKED_RATE,
+            TARGET_RATE,
         ),
         Claim(
             "the paper's pipeline holds random objects in six directions",
             f"case == 'six_directions' and {_PAPER}",
             "held_mean",
             ">=",
-            ASKED_RATE,
+            TARGET_RATE,
         ),
         Claim(
             "random objects that were held: mean of the largest drift",
@@ -119,7 +119,7 @@ def derive(means: Rows) -> Rows:
         for name in swept:
             rows = curve[curve[name].notna()].sort_values(name, ascending=name == "squeeze")
             if len(rows):
-                enough = rows[rows["held_mean"] >= ASKED_RATE]
+                enough = rows[rows["held_mean"] >= TARGET_RATE]
                 best = enough.index[0] if len(enough) else rows["held_mean"].idxmax()
                 out.loc[best, "chosen"] = True
     return out

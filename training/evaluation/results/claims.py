@@ -37,7 +37,7 @@ class Claim:
             hold in each of them.
         column: column of the summary.
         comparison: one of `COMPARISONS`.
-        asked: the bound.
+        target: the bound.
         over: a second query. Its rows, paired by the other keys, divide the column, or are
             subtracted from it if `difference`.
         difference: see `over`.
@@ -48,7 +48,7 @@ class Claim:
     query: str
     column: str
     comparison: str
-    asked: float
+    target: float
     over: str = ""
     difference: bool = False
     unit: str = ""
@@ -102,9 +102,9 @@ class Judged:
     met: bool | None
 
     @property
-    def asked(self) -> str:
+    def target(self) -> str:
         """Comparison and bound, as text."""
-        return f"{self.claim.comparison} {self.claim.asked:g} {self.claim.unit}".strip()
+        return f"{self.claim.comparison} {self.claim.target:g} {self.claim.unit}".strip()
 
     @property
     def found(self) -> str:
@@ -123,7 +123,7 @@ def judge(claims: Iterable[Claim], rows: pd.DataFrame) -> list[Judged]:
         >>> rows = pd.DataFrame({"case": ["ball", "ball"], "start": ["paper", "network"], "iterations_median": [45.0, 4.0]})
         >>> few = Claim("few steps", "start == 'network'", "iterations_median", "<=", 8)
         >>> share = Claim("a tenth of the paper's", "start == 'network'", "iterations_median", "<=", 0.05, "start == 'paper'")
-        >>> [(row.claim.name, row.asked, row.found, row.met) for row in judge([few, share], rows)]
+        >>> [(row.claim.name, row.target, row.found, row.met) for row in judge([few, share], rows)]
         [("a tenth of the paper's", '<= 0.05', '0.08889', False), ('few steps', '<= 8', '4', True)]
     """
     judged = []
@@ -132,7 +132,7 @@ def judge(claims: Iterable[Claim], rows: pd.DataFrame) -> list[Judged]:
         compare, worst = COMPARISONS[claim.comparison]
         finite = values[np.isfinite(values)]
         met = (
-            len(finite) == len(values) and bool(np.all(compare(values, claim.asked)))
+            len(finite) == len(values) and bool(np.all(compare(values, claim.target)))
             if len(values)
             else None
         )
@@ -146,4 +146,4 @@ def lines(judged: Sequence[Judged]) -> Iterator[str]:
     for row in judged:
         verdict = "" if row.met is None else VERDICTS[row.met]
         measured = "not measured in this run" if row.measured is None else f"measured {row.found}"
-        yield f"{verdict:6}  {row.claim.name}\n        asked {row.asked}; {measured}"
+        yield f"{verdict:6}  {row.claim.name}\n        target {row.target}; {measured}"

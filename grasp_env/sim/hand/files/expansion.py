@@ -100,11 +100,11 @@ def expand(request: Any) -> dict[str, Any]:
     which ROS keeps packages.
     """
     os.environ.clear()  # $(optenv) reads it
-    asked = json.loads(str(request))
-    arguments = _Arguments(asked["arguments"])
-    files = _Files(Path(asked["file"]), asked["shares"])
+    job = json.loads(str(request))
+    arguments = _Arguments(job["arguments"])
+    files = _Files(Path(job["file"]), job["shares"])
     try:
-        text = _expanded(asked["file"], arguments, files)
+        text = _expanded(job["file"], arguments, files)
         arguments.check()
     except Exception as error:  # xacro does not catch errors of expressions
         return {"error": np.array(_told(error))}
@@ -181,7 +181,7 @@ def _guard(xacro: Any, substitution_args: Any, arguments: _Arguments, files: _Fi
             if not element.hasAttribute(
                 "default"
             ):  # xacro would refuse it even if the argument is given
-                arguments.asked[element.getAttribute("name")] = None
+                arguments.requested[element.getAttribute("name")] = None
                 element.parentNode.removeChild(element)
         return document
 
@@ -324,19 +324,19 @@ def _real(path: Path) -> Path:
 
 
 class _Arguments(dict[str, str]):
-    """Values of a file's arguments by name, and the names that the file has asked for."""
+    """Values of a file's arguments by name, and the names that the file requests."""
 
     def __init__(self, given: dict[str, str]) -> None:
         super().__init__(given)
         self._given = tuple(given)
-        self.asked = dict[str, None]()
+        self.requested = dict[str, None]()
 
     def __contains__(self, name: object) -> bool:
-        self.asked[str(name)] = None
+        self.requested[str(name)] = None
         return super().__contains__(name)
 
     def __getitem__(self, name: str) -> str:
-        self.asked[name] = None
+        self.requested[name] = None
         return super().__getitem__(name)
 
     def __missing__(self, name: str) -> str:
@@ -348,10 +348,10 @@ class _Arguments(dict[str, str]):
     def check(self) -> None:
         """Raise RefusedError if the file does not ask for a given argument."""
         for name in self._given:
-            if name not in self.asked:
-                others = ", ".join(self.asked) or "none"
+            if name not in self.requested:
+                others = ", ".join(self.requested) or "none"
                 raise RefusedError(
-                    f"it has no argument {name!r}:{alike(name, self.asked)} its arguments are {others}"
+                    f"it has no argument {name!r}:{alike(name, self.requested)} its arguments are {others}"
                 )
 
 
