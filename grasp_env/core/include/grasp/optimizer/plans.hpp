@@ -16,7 +16,9 @@ enum class ProblemKind {
 enum class Algorithm { newton, limited, soft, flow, conic, general };
 
 // The algorithm for each method and kind of problem. If Newton, its variants or `conic` give up,
-// the general program takes over. A flow has no fallback.
+// the general program takes over. If that gives up, it proves
+// that there is no force or leaves the call UNDECIDED (`general/deepest.hpp`). A flow has no
+// fallback.
 struct Plan {
   Method method;
   ProblemKind kind;
