@@ -22,7 +22,6 @@ from cases import (
     at,
     case,
 )
-from numpy.testing import assert_allclose
 from oracles import network as network_oracle
 from oracles.phi import phi
 from samples import Sample, sample, wrenches
@@ -97,7 +96,7 @@ def test_a_learned_start_is_the_networks_force_or_a_better_one(count: int, size:
                     way = force - safe
                     share = float((x - safe) @ way / (way @ way))
                     near = 1e-5 * share * np.abs(way).max() + 1e-12 * np.abs(safe).max()
-                    assert_allclose(x, safe + share * way, rtol=0, atol=near)
+                    np.testing.assert_allclose(x, safe + share * way, rtol=0, atol=near)
                     assert 0.0 <= share <= 1.0
                     kept = share > 0.0
                     assert at(row, "replaced") == (not kept)
@@ -161,7 +160,9 @@ def test_answers_do_not_depend_on_earlier_calls(count: int, method: str, kind: s
         alone = copy.solve(one)[0]
         assert at(row, "code") == at(alone, "code")
         # side by side sums are taken in another order
-        assert_allclose(c.z(row), c.z(alone), rtol=0, atol=1e-7 * np.abs(c.z(alone)).max() + 1e-300)
+        np.testing.assert_allclose(
+            c.z(row), c.z(alone), rtol=0, atol=1e-7 * np.abs(c.z(alone)).max() + 1e-300
+        )
 
 
 @each_algorithm
@@ -206,6 +207,8 @@ def test_a_row_without_a_force_does_not_look_like_an_optimum_of_zero(method: str
 @pytest.mark.parametrize("method", ["newton", "reduced flow", "sum"])
 @pytest.mark.parametrize("count", [4, 9])
 def test_contacts_of_a_call(count: int, method: str) -> None:
+    """Moved contacts have the answer of a solver made for them, and the previous solution follows
+    them in fewer steps."""
     s = sample(count)
     rng = np.random.default_rng(count)
     saved = 0.0
@@ -245,6 +248,7 @@ def test_contacts_of_a_call(count: int, method: str) -> None:
 @each_algorithm
 @pytest.mark.parametrize("count", [4, 16])
 def test_nothing_is_allocated(count: int, method: str, kind: str, calls: int) -> None:
+    """Optima, proofs and least excesses, on contacts that stay or move."""
     assert (insides.known_allocations(0), insides.known_allocations(5)) == (0, 10)
     if method == "full flow" and count > 8:
         pytest.skip("the full flow is dense")

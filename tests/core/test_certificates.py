@@ -47,9 +47,15 @@ def least_over(c: Case, load: np.ndarray, cost: np.ndarray, *, inside: bool, ela
     wider = np.zeros(len(facets))
     first = len(facets) - len(c.terms.rows)
     wider[first : first + len(c.own[2])] = c.own[2]
-    within = {"A_ub": np.column_stack([facets, -wider]), "b_ub": bound}
-    balance = {"A_eq": np.column_stack([c.matrix, np.zeros(6)]), "b_eq": -(c.contacts.unit @ load)}
-    return linprog(cost, **within, **balance, bounds=(None, None), method="highs")
+    return linprog(
+        cost,
+        A_ub=np.column_stack([facets, -wider]),
+        b_ub=bound,
+        A_eq=np.column_stack([c.matrix, np.zeros(6)]),
+        b_eq=-(c.contacts.unit @ load),
+        bounds=(None, None),
+        method="highs",
+    )
 
 
 @pytest.mark.parametrize(("count", "what", "free"), TIGHT)
@@ -124,8 +130,12 @@ def test_fingers_that_all_push_one_way_have_proofs_or_forces(method: str) -> Non
     """Without force closure an object pressed against the fingers is held; if it is lifted, a twist
     proves that none holds it."""
     base = sample(4)
-    scale = np.tile([0.3, 1.0, 1.0], (4, 1))
-    s = Sample(base.positions, np.tile([0.0, 0.6, 0.8], (4, 1)), scale, base.weights)
+    s = Sample(
+        base.positions,
+        np.tile([0.0, 0.6, 0.8], (4, 1)),
+        base.scale * 0.0 + [0.3, 1.0, 1.0],
+        base.weights,
+    )
     c = Case(s, np.zeros(4))
     solver = c.solver(method, tolerance=1e-4)
     middle = s.positions.mean(axis=0)

@@ -6,7 +6,6 @@ from __future__ import annotations
 import _core_test as insides
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
 from oracles import geometry as oracle
 from samples import Sample, random_contacts, sample, thinned, with_frictionless
 
@@ -38,11 +37,11 @@ def test_frames_are_the_written_rule(close: float | None) -> None:
     for n in directions():
         along = None if close is None else n + close * rng.standard_normal(3)
         found = insides.frame(n, along)
-        assert_allclose(found, oracle.frame(n, along), atol=4e-15 / (close or 1.0))
-        assert_allclose(found.T @ found, np.eye(3), atol=4e-15)
-        assert_array_equal(found[:, 0], n)
+        np.testing.assert_allclose(found, oracle.frame(n, along), atol=4e-15 / (close or 1.0))
+        np.testing.assert_allclose(found.T @ found, np.eye(3), atol=4e-15)
+        np.testing.assert_array_equal(found[:, 0], n)
         if close:  # made again from its own tangent it keeps its bits
-            assert_array_equal(insides.frame(n, found[:, 1]), found)
+            np.testing.assert_array_equal(insides.frame(n, found[:, 1]), found)
 
 
 def check(s: Sample, tolerance: float) -> None:
@@ -51,20 +50,24 @@ def check(s: Sample, tolerance: float) -> None:
     found = s.placement.arrays
     assert s.placement.verdict == GOOD
     size = 1.0 + np.abs(s.positions).max()
-    assert_allclose(found["frames"], s.frames, atol=4e-15)
-    assert_allclose(found["matrix"], oracle.grasp_matrix(s.positions, s.frames), atol=8e-15 * size)
-    assert_allclose(found["cone_matrix"], s.cone_matrix, atol=3e-14 * size)
-    assert_array_equal(found["divisor"], s.divisor)
+    np.testing.assert_allclose(found["frames"], s.frames, atol=4e-15)
+    np.testing.assert_allclose(
+        found["matrix"], oracle.grasp_matrix(s.positions, s.frames), atol=8e-15 * size
+    )
+    np.testing.assert_allclose(found["cone_matrix"], s.cone_matrix, atol=3e-14 * size)
+    np.testing.assert_array_equal(found["divisor"], s.divisor)
     # moments about the centre, divided by the length: positions far away have fewer digits left
-    assert_allclose(found["rows"], s.rows, rtol=0, atol=1e-14 * np.abs(s.unit).max() * size)
+    np.testing.assert_allclose(
+        found["rows"], s.rows, rtol=0, atol=1e-14 * np.abs(s.unit).max() * size
+    )
     inverse = found["inverse"]
     basis = found["orthonormal"]
-    assert_allclose(inverse, s.inverse, rtol=0, atol=tolerance * np.abs(s.inverse).max())
+    np.testing.assert_allclose(inverse, s.inverse, rtol=0, atol=tolerance * np.abs(s.inverse).max())
     near = tolerance * max(1.0, np.abs(inverse).max())
-    assert_allclose(found["rows"] @ inverse, np.eye(6), rtol=0, atol=near)
-    assert_allclose(basis @ basis.T, np.eye(6), atol=tolerance)
+    np.testing.assert_allclose(found["rows"] @ inverse, np.eye(6), rtol=0, atol=near)
+    np.testing.assert_allclose(basis @ basis.T, np.eye(6), atol=tolerance)
     of_force = found["rows"] * np.where(np.isfinite(s.divisor), s.divisor, 0.0).reshape(-1)
-    assert_allclose(
+    np.testing.assert_allclose(
         of_force @ basis.T @ basis, of_force, rtol=0, atol=tolerance * np.abs(of_force).max()
     )
 
@@ -141,7 +144,9 @@ def test_cones_are_round_and_of_slope_one() -> None:
     scale = np.empty((3, 3))
     _core.cone_scale(friction, scale)
     mean = np.sqrt(0.2 * 0.9)
-    assert_allclose(scale, [[0.4, 1, 1], [mean, mean / 0.2, mean / 0.9], [1, 0, 0]], rtol=4 * EPS)
+    np.testing.assert_allclose(
+        scale, [[0.4, 1, 1], [mean, mean / 0.2, mean / 0.9], [1, 0, 0]], rtol=4 * EPS
+    )
 
 
 # --- soft contacts

@@ -137,6 +137,8 @@ def test_a_known_optimum_ends_it_at_the_first_iterate_near_enough(form: str) -> 
 
 
 def test_no_rule_hangs() -> None:
+    """Extreme numbers, also those that `step_size.py` refuses: every search ends, and what
+    converged is certified."""
     s = sample(4)
     wrench, force, _ = starts(s)
     numbers = [

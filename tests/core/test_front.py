@@ -73,6 +73,7 @@ CASES: dict[str, tuple[Grasp, list[float], dict[str, Any]]] = {
 
 @pytest.mark.parametrize("name", CASES)
 def test_results_are_those_of_python(said: dict[str, str], name: str) -> None:
+    """The same solution from the same start, or an equally good one where Phi is flat."""
     grasp, wrench, options = CASES[name]
     python = optimize_force(grasp, wrench, **options)
     found = numbers(said[name])
@@ -174,6 +175,8 @@ def test_setup_names_what_is_wrong(said: dict[str, str], setup: str, words: str)
 
 
 def test_calls_allocate_nothing(said: dict[str, str]) -> None:
+    """All algorithms with all starts, contacts of the call and some of them, and refused calls
+    between."""
     counted = {
         name.removeprefix("allocations of "): line
         for name, line in said.items()

@@ -9,7 +9,6 @@ import _core_test as insides
 import numpy as np
 import pytest
 from cases import START, STARTED
-from numpy.testing import assert_array_equal
 from samples import Sample, random_contacts, thinned, with_frictionless, wrenches
 
 from grasp_env.core import _core
@@ -99,7 +98,7 @@ def solved(
     for k, contacts in enumerate(given):
         for row in rows[int(begin[k]) : int(begin[k + 1])]:
             if row[CODE] == 0.0:
-                assert_array_equal(row[size:], np.ravel(contacts.frames))
+                np.testing.assert_array_equal(row[size:], np.ravel(contacts.frames))
     return rows[:, :size]
 
 
@@ -156,6 +155,8 @@ def test_the_answers_of_single_solves(method: str, kind: str, count: int) -> Non
 @each_method
 @pytest.mark.parametrize("count", [3, 9])
 def test_what_is_not_ordinary_is_left(method: str, count: int) -> None:
+    """Contacts of little or no rank, no force closure, soft contacts, bad numbers, wrenches of
+    nothing; the others keep their bits."""
     given = list(grasps(count, "hard"))
     loads = wrenches(np.random.default_rng(count), len(given))
     before = solved(method, [placed(s) for s in given], loads)
@@ -172,11 +173,11 @@ def test_what_is_not_ordinary_is_left(method: str, count: int) -> None:
     assert (records[[3, 5, 6, 7, 8, 10], CODE] == REFUSED).all()
     left = records[:, CODE] == REFUSED
     assert not records[left, FORCE : FORCE + 6 * count].any()
-    assert_array_equal(
+    np.testing.assert_array_equal(
         records[left][:, [OBJECTIVE, BOUND]], np.tile([np.inf, -np.inf], (left.sum(), 1))
     )
     assert records[9, CODE] in (0.0, REFUSED)
-    assert_array_equal(records[[0, 2, 4]], before[[0, 2, 4]])
+    np.testing.assert_array_equal(records[[0, 2, 4]], before[[0, 2, 4]])
     for wrong in (None, 3, placed(grasps(5, "hard")[0])):
         with pytest.raises(TypeError, match="contacts"):
             solved(method, [*contacts[:-1], wrong], loads)
@@ -185,6 +186,7 @@ def test_what_is_not_ordinary_is_left(method: str, count: int) -> None:
 @each_method
 @pytest.mark.parametrize("count", [3, 9])
 def test_no_answer_depends_on_its_neighbours(method: str, count: int) -> None:
+    """Each grasp has 0 to 20 wrenches; the grasps in another order, and one at a time."""
     given = [placed(s) for s in grasps(count, "hard")]
     rng = np.random.default_rng(count)
     own = rng.integers(0, 20, len(given)) * (rng.uniform(size=len(given)) < 0.7) + (

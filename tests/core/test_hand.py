@@ -24,6 +24,8 @@ CASES = {
 
 @pytest.mark.parametrize("case", CASES)
 def test_control_ticks_allocate_nothing_and_repeat_bit_by_bit(case: str) -> None:
+    """Forces that are optimised, adjusted and bounded, fingers that come and go, and all other ways
+    to hold."""
     found = insides.ticks(900, *CASES[case])
     allocated, total, _, changes, peak = found
     assert allocated == 0

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from building import run, spoiled
 from hands import gripper
-from numpy.testing import assert_allclose, assert_array_equal
 
 from grasp_env import core
 from grasp_env.errors import InvalidInputError
@@ -55,14 +54,6 @@ def repeated(made, state, ticks: int, period: float = PERIOD) -> np.ndarray:
     return [made.update(state, period) for _ in range(ticks)][-1]
 
 
-def holding(hand, state) -> Any:
-    """A controller after 40 ticks."""
-    made = controller(hand)
-    made.activate(state)
-    repeated(made, state, 40)
-    return made
-
-
 def carried(hand, state) -> tuple[np.ndarray, np.ndarray]:
     """Matrix from forces at the fingertips (N, 3) to torques, and the torques that carry the hand."""
     moves, weight = hand.scene.kinematics.statics(state.angles, state.positions, state.gravity)
@@ -73,12 +64,19 @@ def test_a_calibration_is_linear_between_its_points_and_clipped_at_its_ends() ->
     table = shown.Calibration(
         [[-1.0, 0.0, 0.5], [-2.0, -1.0, 4.0]], [[-200.0, 10.0, 240.0], [20.0, 0.0, -100.0]]
     )
-    torques = np.array([[0.25, 1.5], [-0.5, -1.5], [9.0, 9.0], [-9.0, -9.0]])
-    units = [[125, -50], [-95, 10], [240, -100], [-200, 20]]
-    assert [table(each).tolist() for each in torques] == units
+    for torques, units in (
+        ([0.25, 1.5], [125, -50]),
+        ([-0.5, -1.5], [-95, 10]),
+        ([9.0, 9.0], [240, -100]),
+        ([-9.0, -9.0], [-200, 20]),
+    ):
+        assert table(np.array(torques)).tolist() == units
     assert table.limits.tolist() == [0.5, 2.0]
-    wrong = ([[1.0, 0.0]], [[0.0, 1.0]]), ([[0.0, 1.0]], [[0.0]]), ([0.0, 1.0], [0.0, 1.0])
-    for torques, units in wrong:
+    for torques, units in (
+        ([[1.0, 0.0]], [[0.0, 1.0]]),
+        ([[0.0, 1.0]], [[0.0]]),
+        ([0.0, 1.0], [0.0, 1.0]),
+    ):
         with pytest.raises(ValueError, match="torques that ascend"):
             shown.Calibration(torques, units)
 
@@ -95,12 +93,14 @@ def test_torques_rise_to_those_that_hold_and_end_with_deactivation(hand, state) 
         before = made.torques
     levers, weight = carried(hand, state)
     assert made.status == "holding"
-    wanted = weight - 0.01 * state.rates + made.forces.ravel() @ levers
-    assert_allclose(made.torques, wanted, atol=1e-9)
-    assert_allclose(made.forces.sum(axis=0), -state.wrench[:3], atol=1e-6)
+    np.testing.assert_allclose(
+        made.torques, weight - 0.01 * state.rates + made.forces.ravel() @ levers, atol=1e-9
+    )
+    np.testing.assert_allclose(made.forces.sum(axis=0), -state.wrench[:3], atol=1e-6)
     assert (abs(made.torques) <= hand.limits).all()
-    commands = made.update(state, PERIOD)
-    assert_array_equal(commands, np.rint(240.0 * made.torques / hand.limits))
+    np.testing.assert_array_equal(
+        made.update(state, PERIOD), np.rint(240.0 * made.torques / hand.limits)
+    )
     assert (made.late, 0.0 < made.duration < 1.0) == (0, True)
     made.update(state, 0.5)
     assert made.late == 1
@@ -110,29 +110,34 @@ def test_torques_rise_to_those_that_hold_and_end_with_deactivation(hand, state) 
 
 
 def test_without_messages_the_last_forces_stay_then_fade(hand, state) -> None:
-    made = holding(hand, state)
+    made = controller(hand)
+    made.activate(state)
+    repeated(made, state, 40)
     forces, s = made.forces, made.settings
     turned = replace(state, angles=state.angles + 0.01, rates=state.rates + 0.5, age=s.stale + 1e-6)
     levers, weight = carried(hand, turned)
     own = weight - s.damping * turned.rates
     spring = -0.01 * s.stiffness
     for ticks, share, status in (
-        (100, 1, "coasting"),
+        (100, 1.0, "coasting"),
         (100, 0.5, "coasting"),
-        (101, 0, "released"),
+        (101, 0.0, "released"),
     ):
         repeated(made, turned, ticks)
         assert made.status == status
-        wanted = own + share * (spring + forces.ravel() @ levers)
-        assert_allclose(made.torques, wanted, atol=1e-9)
+        np.testing.assert_allclose(
+            made.torques, own + share * (spring + forces.ravel() @ levers), atol=1e-9
+        )
     repeated(made, state, 40)
     assert made.status == "holding"
-    assert_allclose(made.forces, forces, atol=0.05)
+    np.testing.assert_allclose(made.forces, forces, atol=0.05)
 
 
 @pytest.mark.parametrize("spoil", ["nan", "short", "twisted"])
 def test_broken_messages_are_ignored(hand, state, spoil: str) -> None:
-    made = holding(hand, state)
+    made = controller(hand)
+    made.activate(state)
+    repeated(made, state, 40)
     held = made.torques
     broken = {
         "nan": replace(state, rates=np.full(16, np.nan)),
@@ -140,9 +145,10 @@ def test_broken_messages_are_ignored(hand, state, spoil: str) -> None:
         "twisted": replace(state, normals=2.0 * state.normals),
     }[spoil]
     repeated(made, broken, 3)
-    # the last good one is fresh still
-    assert made.status == ("coasting" if spoil == "twisted" else "holding")
-    assert_allclose(made.torques, held, atol=1e-3)
+    assert made.status == (
+        "coasting" if spoil == "twisted" else "holding"
+    )  # the last good one is fresh still
+    np.testing.assert_allclose(made.torques, held, atol=1e-3)
     repeated(made, broken, 400)
     assert made.status == "released"
     made.update(broken, np.nan)
@@ -154,30 +160,40 @@ def test_broken_messages_are_ignored(hand, state, spoil: str) -> None:
 
 
 def test_a_finger_loses_its_contact_and_regains_it(hand, state) -> None:
-    made = holding(hand, state)
+    made = controller(hand)
     finger = 1
+    made.activate(state)
+    repeated(made, state, 40)
     whole, push = made.forces, made.settings.push
     touching = np.arange(4) != finger
     far = np.where(touching[:, None], state.positions, 0.0)
-    normals = np.where(touching[:, None], state.normals, np.eye(3)[0])
-    lost = replace(state, touching=touching, positions=far, normals=normals)
+    lost = replace(
+        state,
+        touching=touching,
+        positions=far,
+        normals=np.where(touching[:, None], state.normals, np.eye(3)[0]),
+    )
     repeated(made, lost, 40)
     levers, weight = carried(hand, state)  # the lost contact counts as where it was last
     assert made.status == "holding"
-    assert_allclose(made.forces[finger], push * state.normals[finger], atol=1e-12)
-    assert_allclose(made.forces[touching].sum(axis=0), -state.wrench[:3], atol=1e-6)
-    wanted = weight - 0.01 * state.rates + made.forces.ravel() @ levers
-    assert_allclose(made.torques, wanted, atol=1e-9)
+    np.testing.assert_allclose(made.forces[finger], push * state.normals[finger], atol=1e-12)
+    np.testing.assert_allclose(made.forces[touching].sum(axis=0), -state.wrench[:3], atol=1e-6)
+    np.testing.assert_allclose(
+        made.torques, weight - 0.01 * state.rates + made.forces.ravel() @ levers, atol=1e-9
+    )
     repeated(made, state, 40)
-    assert_allclose(made.forces, whole, atol=0.05)
+    np.testing.assert_allclose(made.forces, whole, atol=0.05)
 
 
 def test_lost_closure_and_weak_motors_have_different_statuses(hand, state) -> None:
-    made = holding(hand, state)
+    made = controller(hand)
+    made.activate(state)
+    repeated(made, state, 40)
     made.update(replace(state, touching=np.array([True, False, False, False])), PERIOD)
     assert made.status == "coasting"
-    ends = np.outer(hand.limits, [-0.15, 0.15])
-    weak = shown.Calibration(ends, np.tile([-240.0, 240.0], (16, 1)))
+    weak = shown.Calibration(
+        np.outer(hand.limits, [-0.15, 0.15]), np.tile([-240.0, 240.0], (16, 1))
+    )
     made = controller(hand, weak, budget=0.0)
     made.activate(state)
     commands = repeated(made, replace(state, wrench=4.0 * state.wrench), 40)
@@ -201,8 +217,8 @@ def test_two_contacts_balance_what_is_within_their_reach(hand, state) -> None:
     missed = lost.wrench + np.concatenate([forces.sum(axis=0), np.cross(where, forces).sum(axis=0)])
     line = (where[1] - where[0]) / np.linalg.norm(where[1] - where[0])
     missed[3:] -= np.cross(where.mean(axis=0), missed[:3])
-    assert_allclose(missed[:3], 0.0, atol=1e-9)
-    assert_allclose(missed[3:], (missed[3:] @ line) * line, atol=1e-9)
+    np.testing.assert_allclose(missed[:3], 0.0, atol=1e-9)
+    np.testing.assert_allclose(missed[3:], (missed[3:] @ line) * line, atol=1e-9)
     assert abs(missed[3:] @ line) > 1e-6
     exact = replace(lost, wrench=lost.wrench - missed)
     repeated(made, exact, 2)
@@ -214,13 +230,19 @@ def test_a_gripper_of_two_fingers_holds() -> None:
     made = hand_loop.controller_of(shown, two, None, friction=0.8)
     where = np.array([[0.0, 0.03, 0.0], [0.0, -0.03, 0.0]])
     joints = np.zeros(two.joint_count)
-    touching = np.ones(2, dtype=bool)
-    load = np.array([0, 0, -1.0, 0, 0, 0])
-    state = shown.HandState(joints, joints, touching, where, -where / 0.03, load, np.zeros(3))
+    state = shown.HandState(
+        joints,
+        joints,
+        np.ones(2, dtype=bool),
+        where,
+        -where / 0.03,
+        np.array([0, 0, -1.0, 0, 0, 0]),
+        np.zeros(3),
+    )
     made.activate(state)
     repeated(made, state, 40)
     assert made.status in ("holding", "overloaded")
-    assert_allclose(made.forces.sum(axis=0), [0.0, 0.0, 1.0], atol=1e-9)
+    np.testing.assert_allclose(made.forces.sum(axis=0), [0.0, 0.0, 1.0], atol=1e-9)
 
 
 def sealed(blob: bytes, numbers: np.ndarray) -> bytes:
@@ -243,15 +265,25 @@ def test_a_hand_comes_back_from_its_file(hand, tmp_path: Path) -> None:
     angles = kinematics.home + 0.1
     tips = kinematics.tips(kinematics.home)
     tree.statics(angles, tips, np.array([1.0, 2.0, 3.0]), moves, weight)
-    assert_array_equal(weight, kinematics.gravity_torques(angles, (1.0, 2.0, 3.0)))
+    np.testing.assert_array_equal(weight, kinematics.gravity_torques(angles, (1.0, 2.0, 3.0)))
     for finger in range(4):
-        jacobian = kinematics.jacobian(angles, finger, tips[finger])
-        assert_array_equal(moves[finger], jacobian)
+        np.testing.assert_array_equal(
+            moves[finger], kinematics.jacobian(angles, finger, tips[finger])
+        )
     assert {core.Tree.load(each) for each in spoiled(blob)} == {None}
     numbers = np.frombuffer(blob[16:])
     assert sealed(blob, numbers) == blob
-    places = (0, 0, 1, 2, 2, 3, 33, 34, -5)
-    for place, value in zip(places, (15, 1e9, 65, 0, 0.5, np.nan, 2, 0, 16), strict=True):
+    for place, value in (
+        (0, 15),
+        (0, 1e9),
+        (1, 65),
+        (2, 0),
+        (2, 0.5),
+        (3, np.nan),
+        (33, 2),
+        (34, 0),
+        (-5, 16),
+    ):
         changed = numbers.copy()
         changed[place] = value
         assert core.Tree.load(sealed(blob, changed)) is None, (place, value)
@@ -325,8 +357,8 @@ def test_the_twin_answers_the_same_and_allocates_nothing(
     *_, status, allocated, finite = told = np.frombuffer(done.stdout)
     mine = np.array(answered)
     other = told[:-3].reshape(len(answered), -1)
-    assert_array_equal(other[:, :2], mine[:, :2])
-    assert_allclose(other[:, 18:], mine[:, 18:], atol=1e-6)
+    np.testing.assert_array_equal(other[:, :2], mine[:, :2])
+    np.testing.assert_allclose(other[:, 18:], mine[:, 18:], atol=1e-6)
     assert abs(other[:, 2:18] - mine[:, 2:18]).max() <= 1.0  # half a unit may be rounded either way
     assert {*mine[:, 0].astype(int)} == {0, 1, 3, 4, 5}
     assert (status, allocated, finite) == (0.0, 0.0, 1.0)

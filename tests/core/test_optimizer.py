@@ -12,7 +12,6 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from cases import CONVERGED, FIELDS, LIMIT, REFUSED, START, STARTED, Case, at, case, nu_of
-from numpy.testing import assert_allclose
 from oracles import limits as oracle
 from oracles import newton
 from oracles.phi import gradient, lower_bound, phi
@@ -66,6 +65,8 @@ def check(
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("count", COUNTS)
 def test_newton_finds_the_optimum_of_the_oracle(count: int, kind: str) -> None:
+    """Start from nothing, from its own optimum, from that of a nearby wrench, from a given force
+    and from a guess."""
     if count > 9 and kind not in HARD:
         pytest.skip("the general program is not made of registers")
     rng = np.random.default_rng(count)
@@ -93,7 +94,7 @@ def test_newton_finds_the_optimum_of_the_oracle(count: int, kind: str) -> None:
             check(c, load, record, tolerance, least)
         # Phi is flat: a gap of 1e-10 is a distance of its root over the least curvature
         if kind in HARD:
-            assert_allclose(c.z(row), best, rtol=0, atol=3e-4 * np.abs(best).max())
+            np.testing.assert_allclose(c.z(row), best, rtol=0, atol=3e-4 * np.abs(best).max())
             known = lower_bound(nu_of(row), c.contacts.cone_matrix, load, c.contacts.weights)
             assert known == pytest.approx(least, rel=1e-6)
         else:  # the conditions of the optimum, with the multipliers of the limits as they are given
@@ -103,7 +104,7 @@ def test_newton_finds_the_optimum_of_the_oracle(count: int, kind: str) -> None:
             torsion = oracle.Terms(s.weights, *(a[len(price) :] for a in c.terms[1:]))
             pull = c.matrix.T @ np.linalg.solve(s.unit.T, nu_of(row))
             slope = oracle.derivatives(z, torsion)[0] + c.own[0].T @ price - pull
-            assert_allclose(
+            np.testing.assert_allclose(
                 slope, 0.0, atol=2e-3 * np.abs(gradient(z[: 3 * count], s.weights)).max()
             )
     assert found
@@ -112,6 +113,7 @@ def test_newton_finds_the_optimum_of_the_oracle(count: int, kind: str) -> None:
 @pytest.mark.parametrize("kind", [*HARD, "some soft"])
 @pytest.mark.parametrize("count", SOME)
 def test_steps_are_the_oracles(count: int, kind: str) -> None:
+    """Each step has the direction of the dense KKT system."""
     c = case(count, kind)
     load = wrenches(np.random.default_rng(count), 1, 5.0)[0]
     rows = [c.solver(tolerance=1e-15, limit=k).solve(load)[0] for k in range(5)]
@@ -145,15 +147,18 @@ def test_a_previous_solution_follows_the_wrench_by_the_tangent_correction(
                 newton.tangent_correction(z, c.matrix, c.contacts.unit @ now, c.contacts.weights)
                 - z
             )
-        # the optimum itself, of a large force that grows
-        assert at(row, "code") in (LIMIT, CONVERGED)
+        assert at(row, "code") in (
+            LIMIT,
+            CONVERGED,
+        )  # the optimum itself, of a large force that grows
         assert (at(row, "start"), at(row, "replaced")) == (START["previous"], 0.0)
         assert at(row, "iterations") == soft
-        assert_allclose(c.z(row), z + step, rtol=0, atol=1e-5 * np.abs(step).max())
+        np.testing.assert_allclose(c.z(row), z + step, rtol=0, atol=1e-5 * np.abs(step).max())
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_bound_is_one_far_from_the_optimum(kind: str) -> None:
+    """Newton is stopped after each number of steps."""
     c = case(5, kind)
     load = wrenches(np.random.default_rng(2), 1, 0.1 * of(kind))[0]
     best = c.minimum(load)
@@ -253,7 +258,9 @@ def test_a_given_start_is_one_or_refused(kind: str) -> None:
     force, torsion = c.forces(row)
     given, _ = solver.solve(load, START["given"], force=force, torsion=torsion)
     assert (at(given, "start"), at(given, "replaced")) == (START["given"], 0.0)
-    assert_allclose(c.forces(given, "initial")[0], force, rtol=0, atol=1e-9 * np.abs(force).max())
+    np.testing.assert_allclose(
+        c.forces(given, "initial")[0], force, rtol=0, atol=1e-9 * np.abs(force).max()
+    )
     unbalanced = force.copy()
     unbalanced[0] += 1e-5 * np.abs(force).max()
     none = (np.full(12, np.nan), -force, np.zeros(12), 1e13 * force)
@@ -297,7 +304,9 @@ def test_a_guess_is_balanced_and_the_best_on_the_way(count: int) -> None:
         assert phi(x, s.weights) <= min(phi(safe, s.weights), phi(moved, s.weights)) * (1.0 + 1e-12)
         assert np.abs(s.rows @ x + w).max() <= 1e-12 * count * (np.abs(x).max() + np.abs(w).max())
         share = float((x - safe) @ (moved - safe) / ((moved - safe) @ (moved - safe)))
-        assert_allclose(x, safe + share * (moved - safe), rtol=0, atol=1e-9 * np.abs(moved).max())
+        np.testing.assert_allclose(
+            x, safe + share * (moved - safe), rtol=0, atol=1e-9 * np.abs(moved).max()
+        )
     assert 0.0 in used
 
 

@@ -23,9 +23,19 @@ CONSUMER = PROGRAMS / "consumer"
 
 def check(compiler: str, headers: list[str], *flags: str) -> str:
     """Errors of a compiler for a file that includes these headers; empty without a warning."""
-    options = [*FLAGS, SHADOW[compiler], *flags, "-fsyntax-only", f"-I{CORE / 'include'}"]
-    text = "".join(f"#include <grasp/{name}>\n" for name in headers)
-    done = run(tool(compiler), *options, "-x", "c++", "-", input=text)
+    options = [
+        *FLAGS,
+        SHADOW[compiler],
+        *flags,
+        "-fsyntax-only",
+        f"-I{CORE / 'include'}",
+        "-x",
+        "c++",
+        "-",
+    ]
+    done = run(
+        tool(compiler), *options, input="".join(f"#include <grasp/{name}>\n" for name in headers)
+    )
     return done.stderr if done.returncode else ""
 
 
@@ -62,8 +72,16 @@ def installed(folder: Path) -> list[str]:
 def install(source: Path, folder: Path, *given: str) -> Path:
     prefix = folder / "prefix"
     hidden = [f"-D{name}_EXECUTABLE=/nowhere" for name in ("Python", "Python3")]
-    here = f"-DCMAKE_INSTALL_PREFIX={prefix}"
-    succeed(tool("cmake"), "-S", source, "-B", folder, here, *given, *hidden)
+    succeed(
+        tool("cmake"),
+        "-S",
+        source,
+        "-B",
+        folder,
+        f"-DCMAKE_INSTALL_PREFIX={prefix}",
+        *given,
+        *hidden,
+    )
     succeed(tool("cmake"), "--build", folder)
     succeed(tool("cmake"), "--install", folder)
     return prefix
@@ -109,8 +127,9 @@ def test_a_program_finds_the_headers(way: Callable[[Path], list[str]], tmp_path:
 
 
 def solves(program: Path) -> None:
-    load = [1, 0.5, -0.6, -0.1, 0.2, 0]
-    wanted = optimize_force(presets.paper_cuboid(), load, tolerance=1e-9).objective
+    wanted = optimize_force(
+        presets.paper_cuboid(), [1, 0.5, -0.6, -0.1, 0.2, 0], tolerance=1e-9
+    ).objective
     code, objective = succeed(program).split()
     assert (code, float(objective)) == ("0", pytest.approx(wanted, rel=2e-9))
 
@@ -151,11 +170,24 @@ def test_another_version_is_not_found(tmp_path: Path) -> None:
     (tmp_path / "CMakeLists.txt").write_text(
         "cmake_minimum_required(VERSION 3.21)\nproject(asks LANGUAGES NONE)\nfind_package(grasp ${WANTED} REQUIRED CONFIG)\n"
     )
-    for wanted in ("0.1", "0.1.0;EXACT", "0", "0.2", "0.1.9", "1"):
+    for wanted, found in (
+        ("0.1", 1),
+        ("0.1.0;EXACT", 1),
+        ("0", 0),
+        ("0.2", 0),
+        ("0.1.9", 0),
+        ("1", 0),
+    ):
         build = tmp_path / wanted.replace(";", "-")
-        given = [f"-Dgrasp_DIR={CORE / 'cmake'}", f"-DWANTED={wanted}"]
-        done = run(tool("cmake"), "-S", tmp_path, "-B", build, *given)
-        found = wanted in ("0.1", "0.1.0;EXACT")
+        done = run(
+            tool("cmake"),
+            "-S",
+            tmp_path,
+            "-B",
+            build,
+            f"-Dgrasp_DIR={CORE / 'cmake'}",
+            f"-DWANTED={wanted}",
+        )
         assert (done.returncode == 0) == found, (wanted, done.stderr)
 
 
@@ -179,8 +211,11 @@ def test_a_colcon_workspace_builds_what_depends_on_it(tmp_path: Path) -> None:
     colcon = [tool("colcon"), "--log-base", tmp_path / "log"]
     source = tmp_path / "src"
     source.mkdir()
-    (source / "a_consumer").symlink_to(CONSUMER)  # in order of dependence core is first
-    (source / "core").symlink_to(CORE)
+    for name, folder in (
+        ("a_consumer", CONSUMER),
+        ("core", CORE),
+    ):  # in order of dependence core is first
+        (source / name).symlink_to(folder)
     found = succeed(*colcon, "list", "--names-only", "--topological-order", "--base-paths", source)
     assert found.split() == ["grasp", "consumer"]
     bases = [word for part in ("build", "install") for word in (f"--{part}-base", tmp_path / part)]

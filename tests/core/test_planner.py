@@ -31,11 +31,6 @@ def limb(kind: str, half: np.ndarray, corners: np.ndarray | None = None) -> core
     )
 
 
-def line(end: np.ndarray, radius: float) -> core.Limb:
-    ends = {"start": (-end).tolist(), "end": end.tolist()}
-    return core.Limb.line(link=-1, **ends, radius=radius, tip=False)
-
-
 def solid(
     kind: str, rng: np.random.Generator, flat: float = 1.0
 ) -> tuple[core.Limb, np.ndarray, float]:
@@ -45,7 +40,10 @@ def solid(
     half[1] *= flat
     if kind in ("point", "line"):
         end = np.array([0.0, 0.0, 0.0 if kind == "point" else half[2]])
-        return line(end, radius), np.array([-end, end]), radius
+        made = core.Limb.line(
+            link=-1, start=(-end).tolist(), end=end.tolist(), radius=radius, tip=False
+        )
+        return made, np.array([-end, end]), radius
     if kind == "hull":
         corners = rng.normal(size=(12, 3)) * half
         corners -= corners.mean(axis=0)
@@ -77,6 +75,7 @@ def distance(one: np.ndarray, two: np.ndarray) -> float:
 @pytest.mark.parametrize("first", KINDS)
 @pytest.mark.parametrize("second", KINDS)
 def test_random_pairs_of_solids(first: str, second: str) -> None:
+    """Apart, touching, deep in one another, concentric and flat."""
     rng = np.random.default_rng([KINDS.index(first), KINDS.index(second)])
     for trial in range(12):
         a, corners_a, radius_a = solid(first, rng, 1e-4 if trial % 3 == 0 else 1.0)
@@ -103,9 +102,12 @@ def test_gaps_of_objects(kind: str) -> None:
     speck = limb("box", np.full(3, 1e-9))
     for _ in range(30):
         center, end = rng.normal(size=(2, 3)) * 0.03
-        found = _core_test.object_gap(surface, speck, EYE, center)
-        assert found == pytest.approx(surface.nearest(center)[2], abs=2e-6)
-        rod = line(end, 0.01)
+        assert _core_test.object_gap(surface, speck, EYE, center) == pytest.approx(
+            surface.nearest(center)[2], abs=2e-6
+        )
+        rod = core.Limb.line(
+            link=-1, start=(-end).tolist(), end=end.tolist(), radius=0.01, tip=False
+        )
         brute = min(surface.nearest(center + at)[2] for at in -end + 2.0 * part * end) - 0.01
         assert _core_test.object_gap(surface, rod, EYE, center) == pytest.approx(brute, abs=1.5e-3)
         enough = brute - 0.005  # any number above it will do where the gap is larger

@@ -17,7 +17,6 @@ PLACES = record_fields()
 CODES = codes()
 FORCE = PLACES["force"]
 NAMES = Names("newton", "previous")
-VIEWS = ("force", "torsion", "frames", "torques", "limit_multipliers")
 
 
 def row(count: int = 4, joints: int = 0, limits: int = 0, **said: float) -> np.ndarray:
@@ -72,8 +71,10 @@ def test_the_summary_is_read_off() -> None:
         "replaced": 1,
     }
     numbers = row(**said)
-    numbers[PLACES["wrench"] :][:6] = np.arange(6)
-    numbers[PLACES["multipliers"] :][:6] = 10.0 + np.arange(6)
+    numbers[PLACES["wrench"] :][:6], numbers[PLACES["multipliers"] :][:6] = (
+        np.arange(6),
+        10.0 + np.arange(6),
+    )
     solution = ForceSolution(numbers, NAMES)
     names = {
         "residual": "equilibrium_residual",
@@ -84,8 +85,9 @@ def test_the_summary_is_read_off() -> None:
     assert type(solution.iterations) is type(solution.trials) is int
     np.testing.assert_array_equal(solution.wrench, np.arange(6))
     np.testing.assert_array_equal(solution.multipliers, 10.0 + np.arange(6))
-    # along the axes of the positions
-    expected = np.einsum("nij,nj->ni", solution.frames, solution.force)
+    expected = np.einsum(
+        "nij,nj->ni", solution.frames, solution.force
+    )  # along the axes of the positions
     np.testing.assert_allclose(solution.object_force, expected, rtol=1e-14, atol=1e-15)
 
 
@@ -103,7 +105,10 @@ def test_views_keep_the_record_alive_and_nothing_leaks() -> None:
     before = sys.getrefcount(record), sys.getrefcount(trace)
     for _ in range(100):
         solution = ForceSolution(record, NAMES, trace)
-        views = [getattr(solution, name) for name in VIEWS]
+        views = [
+            getattr(solution, name)
+            for name in ("force", "torsion", "frames", "torques", "limit_multipliers")
+        ]
         assert solution.objective_trace is not None
         del solution
         np.testing.assert_array_equal(views[0].reshape(-1), FORCE + np.arange(12.0))
@@ -122,8 +127,9 @@ def test_views_keep_the_record_alive_and_nothing_leaks() -> None:
         np.append(row(), 0.0),
         row().astype(np.float32),
         np.repeat(row(), 2)[::2],
-        # a call that has no answer is no solution
-        *(row(code=CODES[name]) for name in ("refused", "rank_lost")),
+        *(
+            row(code=CODES[name]) for name in ("refused", "rank_lost")
+        ),  # a call that has no answer is no solution
         *(row(code=code) for code in (0.5, -1.0, np.nan, 99.0)),
         row(iterations=np.nan),
         row(start=99.0),
@@ -134,7 +140,10 @@ def test_views_keep_the_record_alive_and_nothing_leaks() -> None:
     ],
 )
 def test_only_records_are_taken(record: object) -> None:
-    with pytest.raises(InvalidInputError, match="expected the record of a ForceSolution"):
+    with pytest.raises(
+        InvalidInputError,
+        match="expected the record of a ForceSolution: a C-contiguous float64 row whose header matches its length",
+    ):
         Solution(record, NAMES)  # pyright: ignore[reportArgumentType]
 
 
@@ -142,5 +151,13 @@ def test_pickled_whole() -> None:
     solution = ForceSolution(row(4, 12, 24), NAMES, np.ones(2))
     again = pickle.loads(pickle.dumps(solution))
     assert type(again) is ForceSolution
-    for name in ("_record", "method", "initial", "objective_trace", *VIEWS):
+    for name in (
+        "_record",
+        "method",
+        "initial",
+        "objective_trace",
+        "frames",
+        "torques",
+        "limit_multipliers",
+    ):
         np.testing.assert_array_equal(getattr(again, name), getattr(solution, name))

@@ -56,8 +56,9 @@ def random_grasp(rng: np.random.Generator, kind: str, most: int = 20) -> Grasp:
         normals = np.zeros((count, 3))
         positions[np.arange(count), face], normals[np.arange(count), face] = side, -side
         positions = positions * axes
-    normals = normals / np.linalg.norm(normals, axis=1)[:, None]
-    normals = normals + 0.1 * rng.standard_normal((count, 3))
+    normals = normals / np.linalg.norm(normals, axis=1)[:, None] + 0.1 * rng.standard_normal(
+        (count, 3)
+    )
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     shape = (count, 2) if kind in ("elliptic", "mixed") else count
     names = {"mixed": list(rng.choice(["hard", "soft", "frictionless"], count)), "elliptic": "hard"}
@@ -94,14 +95,16 @@ def random_limits(rng: np.random.Generator, grasp: Grasp, size: float) -> ForceL
     count = grasp.n_contacts
     given = {}
     if rng.random() < 0.6:
-        each = count if rng.random() < 0.5 else None
-        given["max_normal"] = size * 10.0 ** rng.uniform(-0.7, 1.0, each)
+        given["max_normal"] = size * 10.0 ** rng.uniform(
+            -0.7, 1.0, count if rng.random() < 0.5 else None
+        )
     if rng.random() < 0.5:
         given["min_normal"] = 0.3 * np.min(given.get("max_normal", size)) * rng.uniform()
     if rng.random() < 0.6:
         joints = int(rng.integers(1, 7))
-        shape = (count, int(rng.choice([3, 6])), joints)
-        given["jacobian"] = grasp.length * rng.standard_normal(shape)
+        given["jacobian"] = grasp.length * rng.standard_normal(
+            (count, int(rng.choice([3, 6])), joints)
+        )
         given["torque_limit"] = size * grasp.length * 10.0 ** rng.uniform(-0.3, 1.5, joints)
         if rng.random() < 0.5:
             given["torque_bias"] = 0.1 * given["torque_limit"] * rng.uniform(-1.0, 1.0, joints)
@@ -163,8 +166,15 @@ def troubled(
 
 def hard_grasp(rng: np.random.Generator, trouble: str, model: str) -> Grasp:
     """3 to 50 contacts, mostly few, on an ellipsoid or a box, with one of the troubles."""
-    least = 9 if model == "frictionless" else 3
-    count = int(min(50, least + rng.geometric(0.2) - 1 + 40 * (rng.random() < 0.02)))
+    count = int(
+        min(
+            50,
+            (9 if model == "frictionless" else 3)
+            + rng.geometric(0.2)
+            - 1
+            + 40 * (rng.random() < 0.02),
+        )
+    )
     axes = rng.uniform(0.4, 1.0, 3)
     if trouble == "flat":
         axes[2] = 10.0 ** rng.uniform(-6.0, -2.0)
@@ -180,16 +190,18 @@ def hard_grasp(rng: np.random.Generator, trouble: str, model: str) -> Grasp:
         apart = 10.0 ** rng.uniform(-6.0, -3.0)
         of = rng.integers(0, groups, count)
         points = points[of] + apart * rng.standard_normal((count, 3))
-        chosen = of if rng.random() < 0.5 else np.arange(count)
-        normals = normals[chosen] + apart * rng.standard_normal((count, 3))
+        normals = normals[
+            of if rng.random() < 0.5 else np.arange(count)
+        ] + apart * rng.standard_normal((count, 3))
     normals += 0.05 * rng.standard_normal((count, 3)) * (trouble in ("plain", "flat"))
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     size = 10.0 ** rng.uniform(-3.0, 1.0)
     shape = (count, 2) if model in ("elliptic", "mixed") else count
-    if trouble == "friction":
-        friction = 10.0 ** rng.uniform(-3.0, 1.0, shape)
-    else:
-        friction = rng.uniform(0.2, 1.2, shape)
+    friction = (
+        10.0 ** rng.uniform(-3.0, 1.0, shape)
+        if trouble == "friction"
+        else rng.uniform(0.2, 1.2, shape)
+    )
     names = {"mixed": list(rng.choice(["hard", "soft", "frictionless"], count)), "elliptic": "hard"}
     points = size * (points + rng.choice([0.0, 1.0, 10.0]) * rng.standard_normal(3))
     options = {
@@ -231,8 +243,12 @@ def fingers(rng: np.random.Generator) -> Drawn:
     """Hard contacts of fingers with their own joints, the limits of the specialised Newton."""
     grasp = closed(rng, int(rng.integers(3, 8)))
     wrench = rng.standard_normal(6) * [1.0, 1.0, 1.0, 0.03, 0.03, 0.03]
-    limits = finger_limits(rng, grasp.n_contacts, 10.0 ** rng.uniform(-0.3, 0.3))
-    return Drawn("fingers", grasp, wrench, limits)
+    return Drawn(
+        "fingers",
+        grasp,
+        wrench,
+        finger_limits(rng, grasp.n_contacts, 10.0 ** rng.uniform(-0.3, 0.3)),
+    )
 
 
 def closed(rng: np.random.Generator, count: int) -> Grasp:

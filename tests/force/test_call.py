@@ -17,31 +17,30 @@ JACOBIAN = 0.05 * np.random.default_rng(0).standard_normal((4, 3, 12))
 THREE = np.array([True, True, True, False])
 
 
-def whole() -> dict[str, Any]:
-    """Arrays of a call."""
-    place = {"positions": CUBOID.positions, "normals": CUBOID.normals}
-    return place | {"friction": np.full(4, 0.4), "jacobian": JACOBIAN}
-
-
 def test_numbers_of_a_contact_that_does_not_touch_are_not_read() -> None:
     """Arrays, which the core reads in place, and lists; nan and infinities, and for a start in
     Python as well."""
     optimizer = ForceOptimizer(CUBOID, limits=ForceLimits(jacobian=JACOBIAN, torque_limit=5.0))
-    arrays = whole()
-    expected = optimizer.solve(WRENCH, **arrays, contacts=THREE)
+    whole: dict[str, Any] = {
+        "positions": CUBOID.positions,
+        "normals": CUBOID.normals,
+        "friction": np.full(4, 0.4),
+        "jacobian": JACOBIAN,
+    }
+    expected = optimizer.solve(WRENCH, **whole, contacts=THREE)
     for odd in (np.nan, np.inf, 1e300):
         broken = {
             name: np.where(THREE.reshape(-1, *[1] * (a.ndim - 1)), a, odd)
-            for name, a in arrays.items()
+            for name, a in whole.items()
         }
         for given in (broken, {name: a.tolist() for name, a in broken.items()}):
             for options in ({}, {"initial": lambda grasp, wrench: expected.force[:3]}):
                 found = optimizer.solve(WRENCH, **given, contacts=THREE, **options)
                 assert found.status is Status.OPTIMAL
                 np.testing.assert_allclose(found.force, expected.force, rtol=1e-3, atol=1e-3)
-        for name in arrays:
+        for name in whole:
             with pytest.raises(InvalidInputError, match=name):
-                optimizer.solve(WRENCH, **arrays | {name: broken[name]}, contacts=[True] * 4)
+                optimizer.solve(WRENCH, **{**whole, name: broken[name]}, contacts=[True] * 4)
 
 
 @pytest.mark.parametrize(
@@ -77,7 +76,12 @@ def test_arrays_at_odd_addresses_are_copied() -> None:
     optimizer = ForceOptimizer(
         CUBOID, limits=ForceLimits(jacobian=unaligned(JACOBIAN), torque_limit=5.0)
     )
-    given = whole()
+    given = {
+        "positions": CUBOID.positions,
+        "normals": CUBOID.normals,
+        "jacobian": JACOBIAN,
+        "friction": np.full(4, 0.4),
+    }
     odd = {name: unaligned(a) for name, a in given.items()}
     expected = optimizer.solve(WRENCH, **given)
     np.testing.assert_array_equal(optimizer.solve(unaligned(WRENCH), **odd).force, expected.force)

@@ -71,8 +71,10 @@ def test_next_to_losing_closure_a_flow_answers_or_refuses(margin: float, method:
             assert most <= LARGEST
             assert np.isfinite(found.multipliers).all()
             assert found.cone_margin >= 0.0
-            near = 1e-9 * max(1.0, np.abs(wrench).max() / grasp.length) + 1e-13 * most
-            assert grasp.residual(found.force, wrench) <= near
+            assert (
+                grasp.residual(found.force, wrench)
+                <= 1e-9 * max(1.0, np.abs(wrench).max() / grasp.length) + 1e-13 * most
+            )
 
 
 def weights(grasp: Grasp) -> np.ndarray:
@@ -82,12 +84,17 @@ def weights(grasp: Grasp) -> np.ndarray:
 def start(grasp: Grasp, squeeze: float = 5.0) -> np.ndarray:
     """Cone coordinates far from the optimum, for many steps: the start plus `squeeze` times the
     internal optimum."""
-    rest = OfflineBasis.of(grasp, OBJECTIVE).rest
-    return grasp.to_cone(LinearCombination(OBJECTIVE)(grasp, LIGHT) + squeeze * rest)
+    force = (
+        LinearCombination(OBJECTIVE)(grasp, LIGHT)
+        + squeeze * OfflineBasis.of(grasp, OBJECTIVE).rest
+    )
+    return grasp.to_cone(force)
 
 
 @pytest.mark.parametrize("name", GRASPS)
 def test_full_and_reduced_iterates_are_equal(name: str) -> None:
+    """By the dense projector, by the entries picked from it, and in closed form; balance and the
+    structure of P stay."""
     grasp = GRASPS[name]
     # moments in units of the grasp: the projector does not depend on them, its rounding does
     land = landscape(grasp.unit_frame @ grasp.cone_matrix, weights(grasp))
@@ -121,12 +128,19 @@ def test_methods_take_the_steps_of_the_plain_flow(name: str, method: str) -> Non
     count = 12  # growing and rejected steps; too few for rounding to decide one
     land = landscape(grasp.unit_frame @ grasp.cone_matrix, weights(grasp))
     descent, iterates = followed(start(grasp), land, rule, count)
-    options = {"barrier_weight": 0.1, "step_rule": rule, "tolerance": 1e-300}
-    options["max_iterations"] = count
+    options = {
+        "barrier_weight": 0.1,
+        "step_rule": rule,
+        "max_iterations": count,
+        "tolerance": 1e-300,
+    }
     optimizer = ForceOptimizer(grasp, method=method, **options)
     solution = optimizer.solve(LIGHT, initial=grasp.to_force(start(grasp)), trace=True)
-    assert (solution.method, solution.initial) == (method, "given")
-    assert solution.status is Status.ITERATION_LIMIT
+    assert (solution.method, solution.initial, solution.status) == (
+        method,
+        "given",
+        Status.ITERATION_LIMIT,
+    )
     assert (solution.iterations, solution.trials) == (count, descent.trials)
     assert descent.trials > count
     np.testing.assert_allclose(solution.objective_trace, descent.values, rtol=1e-10)
@@ -165,8 +179,9 @@ def test_barzilai_borwein_steps_are_inverse_curvatures() -> None:
             y = drives[k - 1] - drives[k]
             long = land.metric @ s**2 / (land.metric @ (s * y))
             short = land.metric @ (s * y) / (land.metric @ y**2)
-            alternate = short if k % 2 else long
-            expected = {"long": long, "short": short, "alternate": alternate}[variant]
+            expected = {"long": long, "short": short, "alternate": short if k % 2 else long}[
+                variant
+            ]
             halvings = float(np.log2(expected / alpha))  # until Phi decreases
             assert halvings == pytest.approx(round(halvings), abs=1e-6)
             assert halvings > -1e-6

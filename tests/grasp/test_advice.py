@@ -217,21 +217,30 @@ def test_torque_limits_are_beside_the_torques_of_forces_and_torsions() -> None:
     worst = int(torques.argmax())
     (text,) = advise(soft, PAPER, ForceLimits(jacobian=jacobian, torque_limit=1e-5))
     assert f"of joint {worst} ({torques[worst]:.3g} of 1e-05 N m)" in text
-    enough = ForceLimits(jacobian=jacobian, torque_limit=torques[worst] / 290)
-    assert advise(soft, PAPER, enough) == []
+    assert (
+        advise(soft, PAPER, ForceLimits(jacobian=jacobian, torque_limit=torques[worst] / 290)) == []
+    )
 
 
 def test_rows_of_rotation_have_no_unit_to_mistake() -> None:
     """A joint behind a gear turns a fingertip by more than 5 rad a radian."""
     jacobian = np.concatenate([np.full((4, 3, 2), 0.03), np.full((4, 3, 2), 20.0)], axis=1)
-    assert advise(CUBOID, limits=ForceLimits(jacobian=jacobian, torque_limit=[1.0, 1.0])) == []
+    assert (
+        advise(
+            presets.paper_cuboid(), limits=ForceLimits(jacobian=jacobian, torque_limit=[1.0, 1.0])
+        )
+        == []
+    )
 
 
 def test_a_swapped_wrench_is_described_alike_in_every_frame() -> None:
     swapped = PAPER[[3, 4, 5, 0, 1, 2]]
     place = (np.eye(3)[[1, 2, 0]], [0.05, -0.15, 0.08])
-    moved = advise(transformed(CUBOID, *place), transform_wrench(swapped, *place))
-    assert moved == advise(CUBOID, swapped) != []
+    assert (
+        advise(transformed(CUBOID, *place), transform_wrench(swapped, *place))
+        == advise(CUBOID, swapped)
+        != []
+    )
 
 
 def test_a_control_loop_is_not_warned_again_and_wrong_arguments_are_errors() -> None:
@@ -239,7 +248,10 @@ def test_a_control_loop_is_not_warned_again_and_wrong_arguments_are_errors() -> 
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         optimizer.solve(np.zeros(6), normals=-CUBOID.normals)
-    three = replace(limits(), jacobian=LEVERS[:3])
-    for bad in ({"wrench": [1, 2, 3]}, {"limits": 3}, {"limits": three}):
+    for bad in (
+        {"wrench": [1, 2, 3]},
+        {"limits": 3},
+        {"limits": replace(limits(), jacobian=LEVERS[:3])},
+    ):
         with pytest.raises(InvalidInputError):
             advise(CUBOID, **bad)

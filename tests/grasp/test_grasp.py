@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
 from oracles import geometry
 from problems import GRASPS, random_grasp
 
@@ -39,9 +38,11 @@ PINCH = ([[0, 0, -0.02], [0, 0, 0.02]], [[0, 0, 1], [0, 0, -1]], 0.5)
 def same(grasp: Grasp, other: Grasp) -> None:
     """Equal to the bit."""
     for name in (*ARRAYS, "pseudoinverse"):
-        assert_array_equal(getattr(grasp, name), getattr(other, name), err_msg=name)
+        np.testing.assert_array_equal(getattr(grasp, name), getattr(other, name), err_msg=name)
     for name in ("friction", "torsional_friction", "cone_scale", "cone_divisor"):
-        assert_array_equal(getattr(grasp.models, name), getattr(other.models, name), err_msg=name)
+        np.testing.assert_array_equal(
+            getattr(grasp.models, name), getattr(other.models, name), err_msg=name
+        )
     assert (grasp.models.names, grasp.length) == (other.models.names, other.length)
 
 
@@ -62,10 +63,10 @@ def test_frames_follow_the_rule_of_the_tangents() -> None:
     normals = directions()
     plain = np.array([geometry.frame(n) for n in normals])
     # near |n_x| = 0.9 the projection divides by 0.44 at least
-    assert_allclose(contact_frames(normals), plain, atol=3e-15)
+    np.testing.assert_allclose(contact_frames(normals), plain, atol=3e-15)
     positions, along = np.random.default_rng(1).uniform(-0.1, 0.1, (2, *normals.shape))
     given = Grasp.from_contacts(positions, normals, 0.5, tangents=along)
-    assert_allclose(given.with_friction(0.3).frames, given.frames, atol=1e-15)
+    np.testing.assert_allclose(given.with_friction(0.3).frames, given.frames, atol=1e-15)
 
 
 @pytest.mark.parametrize("tangents", [False, True])
@@ -108,30 +109,34 @@ def test_arrays_are_the_plain_formulas(count: int, tangents: bool) -> None:
         "torsion_matrix": torsion,
     }
     for name, value in wanted.items():
-        assert_allclose(getattr(grasp, name), value, rtol=1e-12, atol=1e-13, err_msg=name)
-    assert_allclose(grasp.models.cone_scale, scale, rtol=1e-15)
-    assert_allclose(grasp.models.cone_divisor, divisor, rtol=1e-15)
+        np.testing.assert_allclose(
+            getattr(grasp, name), value, rtol=1e-12, atol=1e-13, err_msg=name
+        )
+    np.testing.assert_allclose(grasp.models.cone_scale, scale, rtol=1e-15)
+    np.testing.assert_allclose(grasp.models.cone_divisor, divisor, rtol=1e-15)
     # forces there and back; G f by hand; margins
     force = rng.standard_normal((count, 3))
     twist = rng.standard_normal(count)
     carried = force * (scale > 0.0)
-    assert_allclose(grasp.to_force(grasp.to_cone(force)), carried, rtol=1e-15)
+    np.testing.assert_allclose(grasp.to_force(grasp.to_cone(force)), carried, rtol=1e-15)
     vectors = grasp.to_object_frame(force)
-    assert_allclose(
+    np.testing.assert_allclose(
         vectors, [frame @ f for frame, f in zip(frames, force, strict=True)], atol=1e-13
     )
-    assert_allclose(grasp.to_contact_frame(vectors), force, atol=1e-13)
+    np.testing.assert_allclose(grasp.to_contact_frame(vectors), force, atol=1e-13)
     wrench = (
         np.concatenate([vectors.sum(axis=0), np.cross(base.positions, vectors).sum(axis=0)])
         + torsion @ twist
     )
-    assert_allclose(grasp.wrench(force, twist), wrench, atol=1e-12)
+    np.testing.assert_allclose(grasp.wrench(force, twist), wrench, atol=1e-12)
     load = rng.standard_normal(6)
     assert grasp.residual(force, load, twist) == pytest.approx(
         np.abs(unit @ (wrench + load)).max(), rel=1e-11
     )
     x = (scale * force).reshape(-1, 3)
-    assert_allclose(grasp.cone_margins(force), x[:, 0] - np.hypot(x[:, 1], x[:, 2]), atol=1e-14)
+    np.testing.assert_allclose(
+        grasp.cone_margins(force), x[:, 0] - np.hypot(x[:, 1], x[:, 2]), atol=1e-14
+    )
     assert grasp.cone_margin(force) == grasp.cone_margins(force).min()
 
 
@@ -149,7 +154,9 @@ def test_pseudoinverse_is_the_least_norm_answer() -> None:
         carried = grasp.matrix * (grasp.models.cone_scale > 0.0).reshape(-1)
         plain = np.linalg.pinv(carried)
         # condition numbers reach 1e3 on random grasps
-        assert_allclose(grasp.pseudoinverse, plain, rtol=0, atol=1e-11 * np.abs(plain).max())
+        np.testing.assert_allclose(
+            grasp.pseudoinverse, plain, rtol=0, atol=1e-11 * np.abs(plain).max()
+        )
 
 
 def test_rank_is_that_of_the_singular_values() -> None:
@@ -226,7 +233,7 @@ def test_numbers_in_any_form_make_the_same_grasp(form: str, friction: Any) -> No
     # normals to rounding of unit length
     given = [POSITIONS + 0.01, NORMALS * (1.0 + 5e-7), np.array(friction)]
     grasp = Grasp.from_contacts(*given, tangents=ALONG)
-    assert_allclose(np.linalg.norm(grasp.normals, axis=1), 1.0, atol=3e-16)
+    np.testing.assert_allclose(np.linalg.norm(grasp.normals, axis=1), 1.0, atol=3e-16)
     turned = [FORMS[form](a) if a.ndim else float(a) for a in given]
     same(grasp, Grasp.from_contacts(*turned, tangents=FORMS[form](ALONG)))
     same(grasp, Grasp.from_contacts(*given, contact_model=["hard"] * 3, tangents=ALONG))
@@ -243,4 +250,4 @@ def test_a_grasp_is_an_immutable_copy() -> None:
             getattr(grasp, name)[0] = 1.0
     shown = grasp.matrix
     del grasp
-    assert_array_equal(shown, presets.tripod().matrix)
+    np.testing.assert_array_equal(shown, presets.tripod().matrix)

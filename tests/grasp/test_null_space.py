@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
 from oracles import geometry
 from problems import GRASPS, random_grasp
 
@@ -24,8 +23,10 @@ def in_object_frame(grasp: Grasp, basis: np.ndarray) -> np.ndarray:
 
 def assert_basis(grasp: Grasp, basis: np.ndarray) -> None:
     assert basis.shape == (3 * grasp.n_contacts, grasp.null_dimension)
-    assert_allclose(grasp.matrix @ basis, 0.0, atol=2e-14 * max(1.0, np.abs(grasp.matrix).max()))
-    assert_allclose(basis.T @ basis, np.eye(basis.shape[1]), atol=1e-12)
+    np.testing.assert_allclose(
+        grasp.matrix @ basis, 0.0, atol=2e-14 * max(1.0, np.abs(grasp.matrix).max())
+    )
+    np.testing.assert_allclose(basis.T @ basis, np.eye(basis.shape[1]), atol=1e-12)
     assert not basis[
         np.repeat([name == "frictionless" for name in grasp.models.names], 3)
         & (np.arange(len(basis)) % 3 > 0)
@@ -36,17 +37,19 @@ def test_bases_are_orthonormal_and_internal() -> None:
     rng = np.random.default_rng(0)
     for grasp in (*GRASPS.values(), *(random_grasp(rng, 3 + k % 6) for k in range(20))):
         reference = reference_basis(grasp)
-        assert_allclose(reference.T @ reference, np.eye(grasp.null_dimension), atol=1e-12)
+        np.testing.assert_allclose(
+            reference.T @ reference, np.eye(grasp.null_dimension), atol=1e-12
+        )
         forces = reference.reshape(grasp.n_contacts, 3, -1).transpose(0, 2, 1)
         moments = np.cross(grasp.positions[:, None], forces).sum(axis=0)
-        assert_allclose(np.concatenate([forces.sum(axis=0), moments]), 0.0, atol=1e-13)
+        np.testing.assert_allclose(np.concatenate([forces.sum(axis=0), moments]), 0.0, atol=1e-13)
         assert_basis(grasp, basis := null_space_basis(grasp, reference))
-        assert_allclose(in_object_frame(grasp, basis), reference, atol=1e-12)
+        np.testing.assert_allclose(in_object_frame(grasp, basis), reference, atol=1e-12)
     # another grasp's reference: the polar factor of its projection
     grasp = random_grasp(rng, 4)
     nominal = reference_basis(GRASPS["cuboid, 4"])
     here = np.einsum("nba,nbk->nak", grasp.frames, nominal.reshape(4, 3, -1)).reshape(nominal.shape)
-    assert_allclose(
+    np.testing.assert_allclose(
         null_space_basis(grasp, nominal), geometry.polar_basis(here, grasp.matrix), atol=1e-9
     )
 
@@ -133,11 +136,11 @@ def test_random_grasps_of_mixed_contacts() -> None:
         reference = reference_basis(grasp)
         assert_basis(grasp, basis := null_space_basis(grasp, reference))
         # about the contacts' centre and in their size, with plain sums
-        assert_allclose(in_object_frame(grasp, basis), reference, atol=1e-12)
+        np.testing.assert_allclose(in_object_frame(grasp, basis), reference, atol=1e-12)
         vectors = reference.reshape(count, 3, -1).transpose(0, 2, 1)
         arms = (positions - positions.mean(axis=0)) / size
-        assert_allclose(vectors.sum(axis=0), 0.0, atol=1e-13)
-        assert_allclose(np.cross(arms[:, None], vectors).sum(axis=0), 0.0, atol=1e-12)
+        np.testing.assert_allclose(vectors.sum(axis=0), 0.0, atol=1e-13)
+        np.testing.assert_allclose(np.cross(arms[:, None], vectors).sum(axis=0), 0.0, atol=1e-12)
         met["frictionless" in models, bool(whole < forces + models.count("soft"))] += 1
     # with and without frictionless contacts, and with torsions that the rank needs
     assert sum(met.values()) > 200
@@ -205,5 +208,5 @@ def test_the_basis_is_smooth_for_every_model(name: str) -> None:
 
     for s in (0.0, 0.1, 0.2):
         fine, coarse = ((basis(s + step) - basis(s - step)) / (2.0 * step) for step in (1e-5, 1e-4))
-        assert_allclose(fine, coarse, atol=1e-6 * np.abs(coarse).max())  # differentiable
+        np.testing.assert_allclose(fine, coarse, atol=1e-6 * np.abs(coarse).max())  # differentiable
         assert np.abs(fine).max() > 0.01  # it follows the contacts

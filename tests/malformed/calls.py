@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -55,11 +55,7 @@ class Call:
     """A public callable and keywords that it accepts."""
 
     run: Callable[..., Any]
-    good: dict[str, Any]
-
-
-def _call(run: Callable[..., Any], /, **good: Any) -> Call:
-    return Call(run, good)
+    good: dict[str, Any] = field(default_factory=dict)
 
 
 def _solve(method: str, grasp: Grasp = CUBOID, **more: Any) -> Call:
@@ -79,7 +75,7 @@ def _solve(method: str, grasp: Grasp = CUBOID, **more: Any) -> Call:
         "trace": False,
         "elastic": False,
     }
-    return _call(f.optimize_force, **(good | more))
+    return Call(f.optimize_force, good | more)
 
 
 @cache
@@ -144,26 +140,33 @@ def calls(folder: Path) -> dict[str, Call]:
     settings = {item.name: getattr(EnvConfig(), item.name) for item in fields(EnvConfig)}
     state = {"grasp": CUBOID, "wrench": PAPER}
     return {
-        "Grasp.from_contacts": _call(Grasp.from_contacts, **contacts),
-        "Grasp.from_contacts, hard": _call(
+        "Grasp.from_contacts": Call(Grasp.from_contacts, contacts),
+        "Grasp.from_contacts, hard": Call(
             lambda **k: Grasp.from_contacts(**k).pseudoinverse,
-            **{k: contacts[k] for k in ("positions", "normals", "friction")},
+            {k: contacts[k] for k in ("positions", "normals", "friction")},
         ),
-        "Grasp.wrench": _call(CUBOID.wrench, force=FORCE, torsion=np.zeros(4)),
-        "Grasp.residual": _call(CUBOID.residual, force=FORCE, wrench=PAPER, torsion=np.zeros(4)),
-        "Grasp.to_object_frame": _call(CUBOID.to_object_frame, force=FORCE),
-        "preset": _call(presets.preset, name="tripod", friction=0.5),
-        "transformed": _call(transformed, grasp=SOFT, rotation=np.eye(3), translation=np.zeros(3)),
-        "transform_wrench": _call(
-            transform_wrench, wrench=PAPER, rotation=np.eye(3), translation=np.zeros(3)
+        "Grasp.wrench": Call(CUBOID.wrench, {"force": FORCE, "torsion": np.zeros(4)}),
+        "Grasp.residual": Call(
+            CUBOID.residual, {"force": FORCE, "wrench": PAPER, "torsion": np.zeros(4)}
         ),
-        "wrench_about": _call(wrench_about, wrench=PAPER, point=np.zeros(3)),
-        "gravity_wrench": _call(
-            gravity_wrench, mass=0.2, com=np.zeros(3), rotation=np.eye(3), gravity=(0.0, 0.0, -9.81)
+        "Grasp.to_object_frame": Call(CUBOID.to_object_frame, {"force": FORCE}),
+        "preset": Call(presets.preset, {"name": "tripod", "friction": 0.5}),
+        "transformed": Call(
+            transformed, {"grasp": SOFT, "rotation": np.eye(3), "translation": np.zeros(3)}
         ),
-        "paper_path": _call(wrench.paper_path, time=0.1),
-        "advise": _call(advise, grasp=CUBOID),
-        "save_grasp": _call(save_grasp, grasp=CUBOID, path=str(folder / "saved" / "grasp.json")),
+        "transform_wrench": Call(
+            transform_wrench, {"wrench": PAPER, "rotation": np.eye(3), "translation": np.zeros(3)}
+        ),
+        "wrench_about": Call(wrench_about, {"wrench": PAPER, "point": np.zeros(3)}),
+        "gravity_wrench": Call(
+            gravity_wrench,
+            {"mass": 0.2, "com": np.zeros(3), "rotation": np.eye(3), "gravity": (0.0, 0.0, -9.81)},
+        ),
+        "paper_path": Call(wrench.paper_path, {"time": 0.1}),
+        "advise": Call(advise, {"grasp": CUBOID}),
+        "save_grasp": Call(
+            save_grasp, {"grasp": CUBOID, "path": str(folder / "saved" / "grasp.json")}
+        ),
         **{
             f"optimize_force, {method}": _solve(method)
             for method in ("reduced_flow", "newton", "conic")
@@ -177,155 +180,163 @@ def calls(folder: Path) -> dict[str, Call]:
         "optimize_force, learned": _solve("newton", initial=_learned()),
         "optimize_force, from a force": _solve("newton", initial=FORCE, wrench=np.zeros(6)),
         **{
-            f"ForceOptimizer.solve, {m}": _call(
+            f"ForceOptimizer.solve, {m}": Call(
                 _with(lambda m=m: _optimizer(m), "solve"),
-                wrench=PAPER,
-                initial=None,
-                optimum=None,
-                trace=False,
+                {"wrench": PAPER, "initial": None, "optimum": None, "trace": False},
             )
             for m in ("reduced_flow", "newton", "conic")
         },
-        "ForceOptimizer.start": _call(
-            _with(lambda: _optimizer("newton"), "start"), wrench=PAPER, initial="lagrange"
+        "ForceOptimizer.start": Call(
+            _with(lambda: _optimizer("newton"), "start"), {"wrench": PAPER, "initial": "lagrange"}
         ),
-        "ForceOptimizer.update": _call(
+        "ForceOptimizer.update": Call(
             _with(lambda: f.ForceOptimizer(CUBOID, limits=LIMITED), "update"),
-            **PLACE,
-            jacobian=JACOBIAN,
-            torque_bias=np.zeros(5),
+            {**PLACE, "jacobian": JACOBIAN, "torque_bias": np.zeros(5)},
         ),
-        "ForceOptimizer.solve there": _call(
+        "ForceOptimizer.solve there": Call(
             _with(lambda: f.ForceOptimizer(CUBOID, limits=LIMITED), "solve"),
-            wrench=PAPER,
-            **PLACE,
-            jacobian=JACOBIAN,
-            torque_bias=np.zeros(5),
-            contacts=np.ones(4, dtype=bool),
+            {
+                "wrench": PAPER,
+                **PLACE,
+                "jacobian": JACOBIAN,
+                "torque_bias": np.zeros(5),
+                "contacts": np.ones(4, dtype=bool),
+            },
         ),
-        "optimize_forces": _call(
+        "optimize_forces": Call(
             f.optimize_forces,
-            grasps=CUBOID,
-            wrenches=np.tile(PAPER, (3, 1)),
-            method="newton",
-            workers=1,
-            tolerance=1e-4,
-            initial=None,
+            {
+                "grasps": CUBOID,
+                "wrenches": np.tile(PAPER, (3, 1)),
+                "method": "newton",
+                "workers": 1,
+                "tolerance": 1e-4,
+                "initial": None,
+            },
         ),
-        "optimize_forces, many grasps": _call(
+        "optimize_forces, many grasps": Call(
             f.optimize_forces,
-            grasps=[CUBOID, SOFT],
-            wrenches=np.tile(PAPER, (2, 1)),
-            method="conic",
-            limits=None,
+            {
+                "grasps": [CUBOID, SOFT],
+                "wrenches": np.tile(PAPER, (2, 1)),
+                "method": "conic",
+                "limits": None,
+            },
         ),
-        "ForceLimits": _call(
+        "ForceLimits": Call(
             _rows,
-            min_normal=0.1,
-            max_normal=9.0,
-            jacobian=JACOBIAN,
-            torque_limit=2.0,
-            torque_bias=np.zeros(5),
+            {
+                "min_normal": 0.1,
+                "max_normal": 9.0,
+                "jacobian": JACOBIAN,
+                "torque_limit": 2.0,
+                "torque_bias": np.zeros(5),
+            },
         ),
-        "ForceLimits.slack": _call(
-            f.ForceLimits(max_normal=5.0).slack, grasp=CUBOID, force=FORCE, torsion=np.zeros(4)
+        "ForceLimits.slack": Call(
+            f.ForceLimits(max_normal=5.0).slack,
+            {"grasp": CUBOID, "force": FORCE, "torsion": np.zeros(4)},
         ),
-        "Objective": _call(f.Objective, force_weight=1.0, barrier_weight=[0.01] * 4),
+        "Objective": Call(f.Objective, {"force_weight": 1.0, "barrier_weight": [0.01] * 4}),
         **{
-            f"Objective.{name}": _call(getattr(f.Objective(), name), x=FORCE.reshape(-1))
+            f"Objective.{name}": Call(getattr(f.Objective(), name), {"x": FORCE.reshape(-1)})
             for name in ("value", "gradient", "hessian")
         },
-        "Objective.lower_bound": _call(
+        "Objective.lower_bound": Call(
             f.Objective().lower_bound,
-            multipliers=-PAPER,
-            cone_matrix=CUBOID.cone_matrix,
-            wrench=PAPER,
+            {"multipliers": -PAPER, "cone_matrix": CUBOID.cone_matrix, "wrench": PAPER},
         ),
-        "Repair": _call(
+        "Repair": Call(
             lambda objective, **k: f.Repair(objective)(**k),
-            **state,
-            candidate=FORCE,
-            objective=f.Objective(),
+            {**state, "candidate": FORCE, "objective": f.Objective()},
         ),
-        "LinearCombination": _call(_started(LinearCombination), **state),
+        "LinearCombination": Call(_started(LinearCombination), state),
         **{
-            name: _call(_started(partial(CoreRule, name)), **state)
+            name: Call(_started(partial(CoreRule, name)), state)
             for name in ("single_value", "lagrange", "phase_one")
         },
-        "FixedStep": _call(f.FixedStep, size=0.3),
-        "ArmijoStep": _call(f.ArmijoStep, first=0.3, shrink=0.5, slope=1e-4),
-        "AdaptiveStep": _call(f.AdaptiveStep, first=0.3, grow=1.5, shrink=0.5),
-        "BarzilaiBorweinStep": _call(f.BarzilaiBorweinStep, first=0.3, shrink=0.5, variant="short"),
-        "ExactStep": _call(f.ExactStep, precision=1e-3),
-        "description_matrix": _call(f.description_matrix, force=FORCE, friction=CUBOID.friction),
-        "joint_torques": _call(
-            f.joint_torques, jacobian=JACOBIAN, force=FORCE, bias=np.zeros(5), moment=None
+        "FixedStep": Call(f.FixedStep, {"size": 0.3}),
+        "ArmijoStep": Call(f.ArmijoStep, {"first": 0.3, "shrink": 0.5, "slope": 1e-4}),
+        "AdaptiveStep": Call(f.AdaptiveStep, {"first": 0.3, "grow": 1.5, "shrink": 0.5}),
+        "BarzilaiBorweinStep": Call(
+            f.BarzilaiBorweinStep, {"first": 0.3, "shrink": 0.5, "variant": "short"}
         ),
-        "force_closure": _call(q.force_closure, grasp=CUBOID, limits=None),
-        "feasibility": _call(q.feasibility, **state, limits=None),
-        "singular_values": _call(q.singular_values, grasp=CUBOID, length=0.05),
-        "epsilon": _call(q.epsilon, grasp=CUBOID, length=0.05, **worst),
-        "quality": _call(
-            _quality, grasp=CUBOID, **{k: v for k, v in worst.items() if k != "criterion"}
+        "ExactStep": Call(f.ExactStep, {"precision": 1e-3}),
+        "description_matrix": Call(
+            f.description_matrix, {"force": FORCE, "friction": CUBOID.friction}
         ),
-        "worst_case": _call(
-            q.worst_case, grasp=CUBOID, wrenches=np.tile(PAPER, (2, 1)), limits=None, **worst
+        "joint_torques": Call(
+            f.joint_torques,
+            {"jacobian": JACOBIAN, "force": FORCE, "bias": np.zeros(5), "moment": None},
         ),
-        "worst_case, ball": _call(
-            q.worst_case, grasp=CUBOID, wrenches=q.WrenchBall(1.0, 0.05), limits=None, **worst
+        "force_closure": Call(q.force_closure, {"grasp": CUBOID, "limits": None}),
+        "feasibility": Call(q.feasibility, {**state, "limits": None}),
+        "singular_values": Call(q.singular_values, {"grasp": CUBOID, "length": 0.05}),
+        "epsilon": Call(q.epsilon, {"grasp": CUBOID, "length": 0.05, **worst}),
+        "quality": Call(
+            _quality, {"grasp": CUBOID, **{k: v for k, v in worst.items() if k != "criterion"}}
         ),
-        "WrenchBall": _call(q.WrenchBall, force=1.0, moment=0.05, shape="product"),
-        "pretrained": _call(LearnedInitialForce.pretrained, remembers=False),
+        "worst_case": Call(
+            q.worst_case,
+            {"grasp": CUBOID, "wrenches": np.tile(PAPER, (2, 1)), "limits": None, **worst},
+        ),
+        "worst_case, ball": Call(
+            q.worst_case,
+            {"grasp": CUBOID, "wrenches": q.WrenchBall(1.0, 0.05), "limits": None, **worst},
+        ),
+        "WrenchBall": Call(q.WrenchBall, {"force": 1.0, "moment": 0.05, "shape": "product"}),
+        "pretrained": Call(LearnedInitialForce.pretrained, {"remembers": False}),
         **{
-            f"learned, {method}": _call(_with(_learned, method), **state)
+            f"learned, {method}": Call(_with(_learned, method), state)
             for method in ("__call__", "covers", "raw")
         },
-        "EnvConfig": _call(EnvConfig, **settings),
-        "EnvConfig.override": _call(
+        "EnvConfig": Call(EnvConfig, settings),
+        "EnvConfig.override": Call(
             EnvConfig().override,
-            friction=0.4,
-            size=(0.1, 0.1, 0.1),
-            sensors={"delay": 0.0},
-            disturbance={"name": "random", "force": 1.0},
+            {
+                "friction": 0.4,
+                "size": (0.1, 0.1, 0.1),
+                "sensors": {"delay": 0.0},
+                "disturbance": {"name": "random", "force": 1.0},
+            },
         ),
         **{
-            f"plan of {name}": _call(
+            f"plan of {name}": Call(
                 lambda limits, controller, name=name, place=place, **k: _plan(
                     **{place: {"name": name, **k}},
                     limits={"duration": limits},
                     controller={"rate": controller},
                 ),
-                **(
-                    {item.name: item.default for item in fields(record)}
-                    | {"limits": 1.0, "controller": 250}
-                ),
+                {item.name: item.default for item in fields(record)}
+                | {"limits": 1.0, "controller": 250},
             )
             for place, table in (("disturbance", DISTURBANCES), ("task", TASKS))
             for name, record in table.items()
         },
         **{
-            f"EnvConfig of {name}": _call(
+            f"EnvConfig of {name}": Call(
                 lambda name=name, **k: EnvConfig().override(**{name: k}),
-                **(vars(getattr(EnvConfig(), name))),
+                vars(getattr(EnvConfig(), name)),
             )
             for name in ("sensors", "solver", "controller", "agent", "reward", "limits", "pictures")
         },
-        "as_config": _call(as_config, config=EnvConfig().to_json()),
-        "EnvConfig.drawn": _call(
+        "as_config": Call(as_config, {"config": EnvConfig().to_json()}),
+        "EnvConfig.drawn": Call(
             lambda **k: EnvConfig().override(randomize=k).drawn(np.random.default_rng(0)),
-            mass=(0.1, 0.2),
-            size=(0.07, 0.12),
-            gravity=lambda rng: (0.0, -9.81, 0.0),
-            shape=True,
+            {
+                "mass": (0.1, 0.2),
+                "size": (0.07, 0.12),
+                "gravity": lambda rng: (0.0, -9.81, 0.0),
+                "shape": True,
+            },
         ),
-        "null_space_basis": _call(
-            null_space_basis, grasp=CUBOID, reference=reference_basis(CUBOID)
+        "null_space_basis": Call(
+            null_space_basis, {"grasp": CUBOID, "reference": reference_basis(CUBOID)}
         ),
-        "ZeroPolicy": _call(
+        "ZeroPolicy": Call(
             lambda action_size, observation: ZeroPolicy(action_size).predict(observation)[0],
-            action_size=6,
-            observation=np.zeros(10),
+            {"action_size": 6, "observation": np.zeros(10)},
         ),
-        "reset": _call(lambda **k: _env().reset(**k)[0], seed=0, options={"wrench": PAPER}),
-        "step": _call(_step, action=np.zeros(6, dtype=np.float32)),
+        "reset": Call(lambda **k: _env().reset(**k)[0], {"seed": 0, "options": {"wrench": PAPER}}),
+        "step": Call(_step, {"action": np.zeros(6, dtype=np.float32)}),
     }

@@ -124,16 +124,35 @@ def test_wrong_values(
 
 
 def test_right_values() -> None:
-    assert (whole(np.int8(3), "count", 0), flag(np.False_, "trace")) == (3, False)
-    assert (number(Fraction(1, 2), "share"), positive(np.array(2.0), "size")) == (0.5, 2.0)
-    assert choice(np.str_("x"), "letter", ("x", "y")) == "x"
+    assert (
+        whole(np.int8(3), "count", 0),
+        flag(np.False_, "trace"),
+        number(Fraction(1, 2), "share"),
+    ) == (3, False, 0.5)
+    assert (positive(np.array(2.0), "size"), choice(np.str_("x"), "letter", ("x", "y"))) == (
+        2.0,
+        "x",
+    )
 
 
 def test_all_faults_are_told_at_once() -> None:
-    wrong = {"tolerance": "0.4", "max_iterations": -1, "force_weight": 0.0, "limits": 3}
     with pytest.raises(InvalidInputError) as caught:
-        optimize_force(CUBOID, PAPER, method="simplex", **wrong)
-    for part in ("'simplex'", *(f"{name} must" for name in wrong)):
+        optimize_force(
+            CUBOID,
+            PAPER,
+            method="simplex",
+            tolerance="0.4",
+            max_iterations=-1,
+            force_weight=0.0,
+            limits=3,
+        )
+    for part in (
+        "'simplex'",
+        "tolerance must",
+        "max_iterations must",
+        "force_weight must",
+        "limits must",
+    ):
         assert part in str(caught.value)
     with pytest.raises(InvalidInputError, match=r"positions must .*; normals must"):
         Grasp.from_contacts("here", "there", 0.4)

@@ -103,8 +103,9 @@ def across(rng: Generator, grasp: Grasp) -> tuple[Array, Array] | None:
         middle = 0.5 * (low + high)
         if middle in (low, high):
             break
-        feasible = feasibility(grasp, inside + middle * step).feasible
-        low, high = (middle, high) if feasible else (low, middle)
+        low, high = (
+            (middle, high) if feasibility(grasp, inside + middle * step).feasible else (low, middle)
+        )
     scale = 10.0 ** rng.uniform(-2.0, 3.0)
     return scale * (inside + low * step), scale * step
 
@@ -129,11 +130,16 @@ def fault(reference: Reference, wrench: Array, found: ForceSolution) -> str:
         if not twist @ wrench - (prices @ reference.bound if len(prices) else 0.0) > 0.0:
             return "a proof that is not positive"
         return "" if reference.proof(twist, wrench, prices) >= -1e-6 else "no proof"
-    near = 1.001 * BAND * max(load, min(most, 1.0)) + 1e-13 * most
-    if reference.residual(found.force, found.torsion, wrench) > near:
+    if (
+        reference.residual(found.force, found.torsion, wrench)
+        > 1.001 * BAND * max(load, min(most, 1.0)) + 1e-13 * most
+    ):
         return "no balance"
-    beyond = reference.violation(found.force, found.torsion)
-    return "outside" if beyond > 1e-13 * max(most, load) else ""
+    return (
+        "outside"
+        if reference.violation(found.force, found.torsion) > 1e-13 * max(most, load)
+        else ""
+    )
 
 
 def trial(seed: int, problems: int) -> tuple[Counter[str], list[str]]:
@@ -151,8 +157,11 @@ def trial(seed: int, problems: int) -> tuple[Counter[str], list[str]]:
         edge, step = found
         parts = np.array([0.0, *(sign * part for part in STEPS for sign in (1.0, -1.0))])
         wrenches = edge + parts[:, None] * step
-        most = 1e5 * float(np.abs(edge[:3]).max())
-        limits = ForceLimits(max_normal=most) if rng.random() < 0.15 else None
+        limits = (
+            ForceLimits(max_normal=1e5 * float(np.abs(edge[:3]).max()))
+            if rng.random() < 0.15
+            else None
+        )
         reference = Reference(grasp, limits)
         batches = [
             optimize_forces(grasp, wrenches, limits=limits, **options)
@@ -164,8 +173,9 @@ def trial(seed: int, problems: int) -> tuple[Counter[str], list[str]]:
             if said["feasibility"] == "force" and not feasibility(grasp, wrench, limits).feasible:
                 said["feasibility"] = "proof"
             for name, options in METHODS.items():
-                solve = partial(optimize_force, grasp, wrench, limits=limits, **options)
-                said[name], answer = verdict(solve)
+                said[name], answer = verdict(
+                    partial(optimize_force, grasp, wrench, limits=limits, **options)
+                )
                 if answer is None:
                     continue
                 counts[f"{name} {answer.status.value}"] += 1
@@ -196,18 +206,13 @@ def test_all_methods_agree(problems: int) -> None:
     assert counts["sum stalled"] + counts["max stalled"] <= 0.002 * problems
 
 
-SUPPORTS = [[0.05, 0.0, 0.0], [-0.05, 0.05, 0.0], [-0.05, -0.05, 0.0]]
-
-
-def weight_beyond(beyond: float) -> Array:
-    """A weight of 5 N so far [m] outside the line between the last two supports."""
-    return np.array([0.0, 0.0, -5.0, 0.0, -5.0 * (0.05 + beyond), 0.0])
-
-
 def test_a_load_over_the_edge_of_its_supports() -> None:
-    tray = Grasp.from_contacts(SUPPORTS, [[0.0, 0.0, 1.0]] * 3, 0.5)
+    """A weight above the line between two supports, a nanometre inside or outside, is held; a
+    micrometre outside it is not."""
+    supports = np.array([[0.05, 0.0, 0.0], [-0.05, 0.05, 0.0], [-0.05, -0.05, 0.0]])
+    tray = Grasp.from_contacts(supports, [[0.0, 0.0, 1.0]] * 3, 0.5)
     for beyond in (-1e-6, -1e-12, 0.0, 1e-12):
-        weight = weight_beyond(beyond)
+        weight = np.array([0.0, 0.0, -5.0, 0.0, -5.0 * (0.05 + beyond), 0.0])
         for options in METHODS.values():
             found = optimize_force(tray, weight, **options)
             assert found.status is Status.OPTIMAL
@@ -215,7 +220,7 @@ def test_a_load_over_the_edge_of_its_supports() -> None:
             assert found.force[:, 0].sum() == pytest.approx(5.0, rel=1e-6)
     for options in METHODS.values():
         with pytest.raises(InfeasibleWrenchError) as caught:
-            optimize_force(tray, weight_beyond(1e-6), **options)
+            optimize_force(tray, [0.0, 0.0, -5.0, 0.0, -5.0 * (0.05 + 1e-6), 0.0], **options)
         assert caught.value.solution.certificate @ caught.value.solution.wrench > 0.0
 
 
@@ -223,11 +228,17 @@ def test_a_load_over_the_edge_of_its_supports() -> None:
 @pytest.mark.parametrize("name", METHODS)
 def test_the_largest_number_of_steps_holds_at_the_boundary(name: str, most: int) -> None:
     """For the search from a carried start, its replacement, and the optimum just inside together."""
-    supports = [*SUPPORTS, [-0.06, 0.01, 0.01]]
+    supports = np.array(
+        [[0.05, 0.0, 0.0], [-0.05, 0.05, 0.0], [-0.05, -0.05, 0.0], [-0.06, 0.01, 0.01]]
+    )
     tray = Grasp.from_contacts(supports, [[0.0, 0.0, 1.0]] * 4, 0.5)
     for start in (None, "previous") if name == "newton" else (None,):
         optimizer = ForceOptimizer(tray, max_iterations=most, initial=start, **METHODS[name])
         for beyond in (-1e-3, -1e-9, -1e-12, 0.0, 1e-12):
-            status, found = verdict(partial(optimizer.solve, weight_beyond(beyond)))
+            status, found = verdict(
+                partial(
+                    optimizer.solve, np.array([0.0, 0.0, -5.0, 0.0, -5.0 * (0.05 + beyond), 0.0])
+                )
+            )
             assert status in ("force", "NotConvergedError")
             assert found is None or found.iterations <= most

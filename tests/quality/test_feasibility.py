@@ -54,8 +54,10 @@ def test_verdicts_against_linear_programs() -> None:
             assert grasp.residual(answer.force, wrench) <= 1e-9 * scale
         else:
             assert_certificate(grasp, wrench, answer.certificate)
-        for size in (1e-9, 1e6):  # the cones are cones
-            assert feasibility(grasp, size * wrench).feasible == answer.feasible
+        # the cones are cones
+        assert {feasibility(grasp, size * wrench).feasible for size in (1e-9, 1e6)} == {
+            answer.feasible
+        }
     assert min(verdicts.values()) > 8
     assert undecided < 8
 
@@ -78,7 +80,9 @@ def test_without_closure_nothing_needs_no_limit(what: str, model: str) -> None:
     palm = Grasp.from_contacts(
         CUBOID.positions, PALM.normals, 0.4, contact_model=model, torsional_friction=0.01
     )
-    with pytest.raises(InfeasibleWrenchError, match="the friction cones balances") as caught:
+    with pytest.raises(
+        InfeasibleWrenchError, match="strictly inside the friction cones balances"
+    ) as caught:
         optimize_force(palm, NOTHING, limits=limits)
     solution = caught.value.solution
     assert not solution.limit_multipliers.any()
@@ -97,10 +101,13 @@ def test_closure_against_linear_programs() -> None:
         assert found or not inner > 1e-6
         assert not found or outer > 1e-6
         verdicts[found.closed] += 1
-        outward = Grasp.from_contacts(grasp.positions, -grasp.normals, grasp.friction)
-        reversed_ = force_closure(outward)
-        assert found.closed == reversed_.closed
-        assert found.margin == pytest.approx(reversed_.margin, rel=1e-6, abs=1e-9)
+        reversed_ = force_closure(
+            Grasp.from_contacts(grasp.positions, -grasp.normals, grasp.friction)
+        )
+        assert (found.closed, found.margin) == (
+            reversed_.closed,
+            pytest.approx(reversed_.margin, rel=1e-6, abs=1e-9),
+        )
         if not found:
             assert (found.force, found.margin, found.witness is found.twist) == (None, 0.0, True)
             assert found.error <= 1e-8
@@ -163,8 +170,10 @@ def test_closure_within_limits() -> None:
     floor = NAMED["pushed"].grasp
     assert_certificate(floor, NOTHING, feasibility(floor, NOTHING).certificate)
     # the depth of a force without wrench is a fraction of the tightest limit
-    each = [ForceLimits(max_normal=most) for most in (1e-12, 1e-3, 1.0)]
-    margins = [feasibility(CUBOID, NOTHING, one).margin for one in each]
+    margins = [
+        feasibility(CUBOID, NOTHING, ForceLimits(max_normal=most)).margin
+        for most in (1e-12, 1e-3, 1.0)
+    ]
     assert margins == pytest.approx([margins[-1]] * 3, rel=1e-6)
 
 
@@ -181,6 +190,7 @@ def test_grasps_next_to_a_symmetric_one(size: float) -> None:
 
 
 def test_a_start_that_does_not_exist_has_the_prices_of_its_proof() -> None:
+    """The error has the prices of its own proof, not those that the call before has left."""
     shared = 0.05 * np.random.default_rng(3).standard_normal((4, 3, 5))
     limits = ForceLimits(jacobian=shared, torque_limit=0.1)
     optimizer = ForceOptimizer(CUBOID, limits=limits)
@@ -190,5 +200,7 @@ def test_a_start_that_does_not_exist_has_the_prices_of_its_proof() -> None:
         optimizer.start(wrench)
     solution = caught.value.solution
     assert solution.limit_multipliers.any()
-    proof = solution.certificate, wrench, solution.limit_multipliers
-    assert Reference(CUBOID, limits).proof(*proof) >= -1e-6
+    assert (
+        Reference(CUBOID, limits).proof(solution.certificate, wrench, solution.limit_multipliers)
+        >= -1e-6
+    )

@@ -60,8 +60,11 @@ def test_symmetric_tripod() -> None:
     assert found.closure_margin == force_closure(presets.tripod()).margin == pytest.approx(0.25)
     assert (found.epsilon_sum.lower, found.epsilon_sum.upper) == again[:2]
     # sum <= 1 implies max <= 1, max <= 1 implies sum <= N
-    most = found.epsilon_max.upper
-    assert found.epsilon_sum.lower <= most <= 3 * found.epsilon_sum.upper * (1 + 1e-9)
+    assert (
+        found.epsilon_sum.lower
+        <= found.epsilon_max.upper
+        <= 3 * found.epsilon_sum.upper * (1 + 1e-9)
+    )
     # the worst wrench turned by a third is as bad
     third = Rotation.from_euler("z", 120, degrees=True).as_matrix()
     turned = [third @ part for part in found.epsilon_sum.wrench.reshape(2, 3)]
@@ -104,8 +107,11 @@ def test_no_wrench_of_the_ball_is_worse(shape: str) -> None:
     worst = worst_case(UNEVEN, ball, starts=8)
     assert worst.lower <= worst.least_force <= worst.upper <= worst.lower * 1.01
     force, moment = (np.linalg.norm(part) for part in worst.wrench.reshape(2, 3))
-    size = max if shape == "product" else np.hypot
-    inside = size(force / 2.0, moment / 0.05)
+    inside = (
+        max(force / 2.0, moment / 0.05)
+        if shape == "product"
+        else np.hypot(force / 2.0, moment / 0.05)
+    )
     assert inside == pytest.approx(1.0)
     optimizer = ForceOptimizer(UNEVEN, method="conic")
     assert optimizer.solve(worst.wrench).objective == pytest.approx(worst.least_force, rel=1e-6)
