@@ -14,20 +14,7 @@ from samples import Sample, sample
 from grasp_env.core import _core
 from grasp_env.force.solution import STARTS
 
-CODES = _core.codes()
-CONVERGED, LIMIT, STALLED, INFEASIBLE, REFUSED, EXCEEDED, UNDECIDED, STARTED = (
-    CODES[name]
-    for name in (
-        "converged",
-        "limit",
-        "stalled",
-        "infeasible",
-        "refused",
-        "limits_exceeded",
-        "undecided",
-        "started",
-    )
-)
+REFUSED = _core.codes()["refused"]
 FIELDS = _core.record_fields()
 START = {name: number for number, name in enumerate(STARTS)}
 METHODS = {"newton": 0, "reduced flow": 1, "full flow": 2, "sum": 3, "largest": 3}

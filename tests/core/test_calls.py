@@ -8,25 +8,14 @@ from itertools import pairwise
 import _core_test as insides
 import numpy as np
 import pytest
-from cases import (
-    CONVERGED,
-    EXCEEDED,
-    FIELDS,
-    INFEASIBLE,
-    LIMIT,
-    REFUSED,
-    START,
-    STARTED,
-    UNDECIDED,
-    Case,
-    at,
-    case,
-)
+from cases import FIELDS, REFUSED, START, Case, at, case
 from oracles import network as network_oracle
 from oracles.phi import phi
 from samples import Sample, sample, wrenches
 from test_certificates import certified
 from test_optimizer import check, of
+
+from grasp_env.force.record import CONVERGED, INFEASIBLE, LIMIT, LIMITS_EXCEEDED, STARTED, UNDECIDED
 
 
 def single(a: np.ndarray) -> np.ndarray:
@@ -261,7 +250,7 @@ def test_nothing_is_allocated(count: int, method: str, kind: str, calls: int) ->
         solver = c.solver(method, tolerance=1e-4, limit=100, elastic=elastic)
         ends = {at(row, "code") for row in solver.solve_many(loads)}
         assert ends & {CONVERGED, LIMIT}
-        assert (count, kind) != (4, "own limits") or ends & {EXCEEDED, INFEASIBLE}
+        assert (count, kind) != (4, "own limits") or ends & {LIMITS_EXCEEDED, INFEASIBLE}
         assert solver.allocations(loads, calls=calls) == 0
         rng = np.random.default_rng(0)
         points = c.contacts.positions + 1e-4 * rng.standard_normal((24, count, 3))

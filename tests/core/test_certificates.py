@@ -7,24 +7,13 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from cases import (
-    CONVERGED,
-    EXCEEDED,
-    FIELDS,
-    INFEASIBLE,
-    LIMIT,
-    START,
-    Case,
-    at,
-    case,
-    nu_of,
-    own_limits,
-    shared_limits,
-)
+from cases import FIELDS, START, Case, at, case, nu_of, own_limits, shared_limits
 from oracles import conic
 from samples import COUNTS, Sample, sample, wrenches
 from scipy.optimize import linprog
 from test_optimizer import HARD, of
+
+from grasp_env.force.record import CONVERGED, INFEASIBLE, LIMIT, LIMITS_EXCEEDED
 
 TIGHT = [(3, "own", 0), (9, "own", 0), (4, "own", 1), (4, "shared", 0), (5, "soft", 0)]
 
@@ -88,7 +77,7 @@ def test_infeasible_is_proven_or_exceeded_least(count: int, what: str, free: int
         if least.status != 3:  # unbounded: pyramids of 64 facets decide nothing
             assert least.status == 2 or twist @ load + least.fun > -2e-3 * abs(twist @ load)
             proofs += least.status == 2 or twist @ load + least.fun > 0.0
-        if at(soft, "code") != EXCEEDED:
+        if at(soft, "code") != LIMITS_EXCEEDED:
             continue
         exceeded += 1
         z = c.z(soft)

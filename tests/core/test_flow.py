@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from cases import CONVERGED, FIELDS, LIMIT, STALLED, START, Case, at, nu_of
+from cases import FIELDS, START, Case, at, nu_of
 from oracles import reduced_flow
 from oracles.descent import followed
 from oracles.phi import lower_bound, phi
@@ -16,6 +16,7 @@ from samples import Sample, sample, wrenches
 from test_optimizer import check
 
 from grasp_env.core import _core
+from grasp_env.force.record import CONVERGED, LIMIT, STALLED
 from grasp_env.force.step_size import AdaptiveStep, FixedStep, StepRule
 
 RULES = STEP_RULES | {"fixed": FixedStep(0.003)}

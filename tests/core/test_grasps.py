@@ -8,7 +8,7 @@ from functools import cache
 import _core_test as insides
 import numpy as np
 import pytest
-from cases import START, STARTED
+from cases import START
 from samples import Sample, random_contacts, thinned, with_frictionless, wrenches
 
 from grasp_env.core import _core
@@ -21,6 +21,7 @@ from grasp_env.force.record import (
     MULTIPLIERS,
     OBJECTIVE,
     RESIDUAL,
+    STARTED,
     WRENCH,
 )
 

@@ -11,12 +11,14 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from cases import CONVERGED, FIELDS, LIMIT, REFUSED, START, STARTED, Case, at, case, nu_of
+from cases import FIELDS, REFUSED, START, Case, at, case, nu_of
 from oracles import limits as oracle
 from oracles import newton
 from oracles.phi import gradient, lower_bound, phi
 from oracles.starts import turned as turned_forces
 from samples import COUNTS, Sample, moved, sample, wrenches
+
+from grasp_env.force.record import CONVERGED, LIMIT, STARTED
 
 SOME = (3, 9)
 HARD = ("hard", "frictionless")
