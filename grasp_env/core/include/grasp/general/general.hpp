@@ -15,8 +15,8 @@ class General {
 
   General() = default;
   // For at most so many contacts and rows of limits; soft: torsion may be transmitted. Allocates
-  // here for the worst rows, unless that takes more than LARGEST_ROOM. In that case, or for more
-  // contacts, `place` allocates whenever it needs more than before.
+  // here for the worst rows, unless that takes more than LARGEST_ROOM; then, and for more contacts,
+  // `place` allocates what it lacks.
   explicit General(int contacts, int limits = 0, bool soft = false)
       : arena_(clamped_size(bytes_needed(contacts, limits, limits, soft))) {}
   // A copy has as much memory, and nothing placed.
@@ -30,9 +30,8 @@ class General {
   // Take over the current, placed contacts and their weights. torsion_divisor: (N,) v = divisor *
   // torsion [1 / m], abs(v) <= normal force in cone coordinates; inf or 0: not soft; null: no soft
   // contacts. limits: their Jacobian is (N, each, J), each = 3, or 4 with the torsion's row.
-  // internal: (N, 3) a force strictly inside the cones that balances itself, if known; otherwise
-  // `conic` finds one. rank_lost: rounding hides which wrenches the contacts can make. Keeps no
-  // reference to the arguments.
+  // internal: (N, 3) an internal force strictly inside the cones; null: `conic` finds one.
+  // rank_lost: rounding hides which wrenches the contacts can make. Keeps no argument.
   Placing place(const Contacts& contacts, const double* torsion_divisor = nullptr,
                 const ForceLimits& limits = {}, int each = 3, const double* internal = nullptr) {
     forget();
