@@ -27,7 +27,7 @@ JOURNEYS = {
 }
 """Rooms on the three ways that docs/architecture.md describes, by number."""
 WIDTH, BOX, HEIGHT, STEP = 1180, 88, 30, 66
-"""Of the picture, of a room, and from one row of rooms to the next [pixels]."""
+"""Width of the picture, width and height of a room, distance between rows [pixels]."""
 
 
 @cache

@@ -1,1 +1,1 @@
-"""What users give: checks of arguments, their ranges, files, and optional packages."""
+"""Checks of arguments and their ranges, reading and writing of files, optional packages."""
