@@ -60,9 +60,8 @@ autodoc_default_options = {"members": True}
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
 napoleon_use_rtype = False
-napoleon_custom_sections = [
-    ("Attributes", "params_style")
-]  # several names may share a line, as for arguments
+# several names may share a line, as for arguments
+napoleon_custom_sections = [("Attributes", "params_style")]
 
 html_theme = "furo"
 html_title = "Grasp forces"

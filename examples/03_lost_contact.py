@@ -14,9 +14,8 @@ from grasp_env.errors import InfeasibleWrenchError
 from grasp_env.force import ForceOptimizer
 from grasp_env.grasp import presets
 
-optimizer = ForceOptimizer(
-    presets.paper_cuboid(), initial="previous"
-)  # a thumb below, three fingers above
+# a thumb below, three fingers above
+optimizer = ForceOptimizer(presets.paper_cuboid(), initial="previous")
 events = {
     399: "four hold",
     400: "one is lost",

@@ -40,9 +40,8 @@ model = PPO(
 )
 model.learn(STEPS, log_interval=1)
 model.save(FOLDER / "agent")
-envs.save(
-    str(FOLDER / "normaliser.pkl")
-)  # the agent needs it; both are pickles: load only your own
+# the agent needs it; both are pickles: load only your own
+envs.save(str(FOLDER / "normaliser.pkl"))
 
 
 def iterations(predict):

@@ -47,9 +47,8 @@ while not over:
     assert not lost, info["failure"]
     iterations.append(info["iterations"])
     frames.append(Image.fromarray(env.render()))
-frames[0].save(
-    "runs/example_rl/agent.webp", save_all=True, append_images=frames[1:], duration=20
-)  # [ms]
+# duration [ms]
+frames[0].save("runs/example_rl/agent.webp", save_all=True, append_images=frames[1:], duration=20)
 env.close()
 
 fig, (left, right) = plt.subplots(1, 2, figsize=(8, 4.5), layout="constrained")

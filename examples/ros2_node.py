@@ -29,11 +29,12 @@ from sensor_msgs.msg import JointState, PointCloud2, PointField
 from grasp_env.sim import HANDS, HandDescription
 
 INPUTS = {"joint_states": JointState, "contacts": PointCloud2, "wrench": WrenchStamped}
+# gravity [m/s^2], base frame
 PARAMETERS = {
     "hand": "four_finger",
     "gravity": [0.0, 0.0, -9.81],
     **asdict(HandControllerSettings()),
-}  # [m/s^2], base frame
+}
 # matches publishers of both reliabilities
 NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 POINT = ("x", "y", "z", "normal_x", "normal_y", "normal_z")  # float32, as in PCL's PointNormal

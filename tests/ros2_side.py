@@ -49,11 +49,12 @@ class Hand:
             for place, name in enumerate(names)
         ]
         self.contacts.point_step = 4 * len(names)
+        # contacts go last
         topics = {
             "joint_states": self.joints,
             "wrench": self.wrench,
             "contacts": self.contacts,
-        }  # contacts go last
+        }
         self.outputs = {
             topic: (self.node.create_publisher(type(message), topic, newest), message)
             for topic, message in topics.items()

@@ -123,9 +123,8 @@ for statement, extra in {IMPORTS}.items():
         if (type(error).__name__, str(error)) != ("MissingExtraError", wanted):
             print(statement, repr(error))
 """
-    done = _without(
-        ("pybullet", "mujoco", "trimesh", *EXTRAS["train"]), script
-    )  # gym.make needs gymnasium itself
+    # gym.make needs gymnasium itself
+    done = _without(("pybullet", "mujoco", "trimesh", *EXTRAS["train"]), script)
     assert (done.returncode, done.stdout) == (0, ""), done.stderr
 
 

@@ -93,7 +93,6 @@ def test_an_extra_brings_what_it_promises(extra: str, wheel: Path, tmp_path: Pat
     added = megabytes(venv) - before
     for command in EXTRAS[extra]:
         run(command)
-    if sys.version_info[:2] == (3, 11) and not [
-        *venv.rglob("nvidia")
-    ]:  # as the sizes were measured
+    # as the sizes were measured
+    if sys.version_info[:2] == (3, 11) and not [*venv.rglob("nvidia")]:
         assert added == pytest.approx(sum(SIZES[name] for name in extras), rel=0.1, abs=10.0)

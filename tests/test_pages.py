@@ -103,9 +103,8 @@ def test_grasp_commands_and_their_options_exist(page):
 def test_files_exist(page):
     text = page.read_text(encoding="utf-8")
     for target in re.findall(r"\]\(([^)#:\s]+)(?:#[\w-]+)?\)", re.sub(BLOCK, "", text)):
-        made = target.startswith(
-            "gallery/"
-        )  # when the site is built, which is strict about such links
+        # when the site is built, which is strict about such links
+        made = target.startswith("gallery/")
         assert made or (page.parent / target).exists() or (page.parent / f"{target}.md").exists(), (
             target
         )

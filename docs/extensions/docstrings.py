@@ -74,10 +74,11 @@ def mend(_app: Sphinx, what: str, name: str, value: Any, _options: Any, lines: l
     if what == "data":
         lines[:] = constant_docs(name.rpartition(".")[2], value)
     if what in ("data", "attribute", "property"):
+        # a comment: text before a colon in the first line would be taken as the type
         lines[:0] = [
             "..",
             "",
-        ]  # a comment: text before a colon in the first line would be taken as the type
+        ]
     if any(line.startswith("## ") for line in lines):
         lines[:] = from_markdown(lines)
     for k, line in enumerate(lines):

@@ -116,9 +116,8 @@ def _by_trimesh(blob: bytes, kind: str) -> tuple[Array, Any]:
     blob = _PLAIN[kind](blob)
     options = {"fix_texture": False} if kind == ".ply" else {"ignore_broken": False}
     with np.errstate(all="ignore"), warnings.catch_warnings():
-        warnings.filterwarnings(
-            "error", "string or file could not be read"
-        )  # numpy would drop the rest
+        # numpy would drop the rest
+        warnings.filterwarnings("error", "string or file could not be read")
         mesh: Any = trimesh.load_mesh(
             io.BytesIO(blob),
             file_type=kind[1:],
@@ -152,9 +151,8 @@ def _plain_obj(blob: bytes) -> bytes:
     text = b"\n" + unix_lines(blob).replace(b"\\\n", b" ")
     corners = re.findall(rb"\n[ \t]*v[ \t]+(\S+[ \t]+\S+[ \t]+\S+)", text)
     rows = re.findall(rb"\n[ \t]*f[ \t]+(\S+[ \t]+\S+[ \t]+[^\s#][^\n#]*)", text)
-    faces = re.sub(
-        rb"/\S*", b"", b"\nf ".join(rows)
-    )  # in 1/2/3 only the 1 is the index of a corner
+    # in 1/2/3 only the 1 is the index of a corner
+    faces = re.sub(rb"/\S*", b"", b"\nf ".join(rows))
     if re.search(rb"(?<![0-9])0", faces):
         raise _FileFault(
             "has faces that count corners from 0; an .obj counts from 1, so add 1 to each"
@@ -210,12 +208,13 @@ def _whole(text: bytes, claimed: int) -> bytes:
 
 
 _TRIANGLES, _STRIP = 4, 5
+# extensions that do not change corners
 _COSMETIC = (
     "KHR_materials",
     "KHR_texture",
     "EXT_texture",
     "KHR_lights",
-)  # extensions that do not change corners
+)
 
 
 def _plain_glb(blob: bytes) -> bytes:

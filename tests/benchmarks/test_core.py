@@ -74,10 +74,11 @@ def test_lines_are_joined():
         ["baseline", 1, 2.0, False],
     ]
     assert calls["apart"].tolist() == pytest.approx([0.1, np.nan, 0.0, 0.0], nan_ok=True)
+    # medians of a round: 3 over 2, then 2 over 2
     assert rows.loc[rows["case"] == RATIO, "ratio"].tolist() == [
         1.5,
         1.0,
-    ]  # medians of a round: 3 over 2, then 2 over 2
+    ]
     assert rows.loc[rows["method"] == "b", ["side", "reason"]].to_numpy().tolist() == [
         ["baseline", "no b"]
     ]

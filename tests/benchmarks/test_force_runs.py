@@ -127,9 +127,8 @@ def test_python_is_timed_by_the_least_of_its_passes(mode, monkeypatch):
     timed = run.Timed(Told(now), Task("", "sum", mode, each[0]), each)
     timed.passes(2)
     np.testing.assert_allclose(1e6 * timed.seconds, [5.0, 3.0, 8.0])
-    assert timed.iterations.tolist() == (
-        [1.0] * 3 if mode == "cold" else [2.0, 3.0, 4.0]
-    )  # counted since `setup`
+    # counted since `setup`
+    assert timed.iterations.tolist() == ([1.0] * 3 if mode == "cold" else [2.0, 3.0, 4.0])
     assert [answer.status for (answer,) in timed.answers] == ["solved", "solved", "failed"]
     assert timed.answers[2][0].message == "ZeroDivisionError: none"
     assert timed.answers[1][0].force[0] == (mode == "warm")
@@ -186,9 +185,8 @@ def test_an_entrant_of_one_file_is_run_saved_and_reported(tmp_path, capsys):
     assert entered == {("mine", "smooth"), ("conic_python", "smooth"), ("conic_python", "soft")}
     about = json.loads((tmp_path / "a/run.json").read_text())
     assert about["tracks"]["smooth"] == load("smooth").about["sha256"]
-    assert (
-        "mathdefault" not in (tmp_path / "a/profiles.svg").read_text()
-    )  # pictures hold plain text
+    # pictures hold plain text
+    assert "mathdefault" not in (tmp_path / "a/profiles.svg").read_text()
     assert main(["report", str(tmp_path / "a"), str(tmp_path / "a")]) == 0
     assert "before" in capsys.readouterr().out
 

@@ -37,9 +37,8 @@ def test_build_info() -> None:
     assert info["build_type"] in ("Release", "RelWithDebInfo", "Debug")
     assert ("-O3" in FLAGS) == (info["build_type"] != "Debug")
     assert {"-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math"} <= set(FLAGS)
-    assert not {"-ffast-math", "-Ofast", "-ffinite-math-only"} & set(
-        FLAGS
-    )  # which drop the checks for NaN
+    # which drop the checks for NaN
+    assert not {"-ffast-math", "-Ofast", "-ffinite-math-only"} & set(FLAGS)
 
 
 def test_the_right_build_is_loaded() -> None:

@@ -167,9 +167,8 @@ def test_torsion_makes_up_for_rank_that_forces_lack() -> None:
     two = first(five, 2)
     smooth = with_frictionless(five, slice(None))
     line = np.array([[0.0, 0.0, -0.02], [0.0, 0.0, 0.02]])
-    across = Sample(
-        line, np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]), two.scale, two.weights
-    )  # cannot turn about the line
+    # cannot turn about the line
+    across = Sample(line, np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]), two.scale, two.weights)
     for s, which, verdict in (
         (sample(5), [0, 3], GOOD),
         (two, [0, 1], NEEDS_TORSION),

@@ -145,9 +145,8 @@ def test_broken_messages_are_ignored(hand, state, spoil: str) -> None:
         "twisted": replace(state, normals=2.0 * state.normals),
     }[spoil]
     repeated(made, broken, 3)
-    assert made.status == (
-        "coasting" if spoil == "twisted" else "holding"
-    )  # the last good one is fresh still
+    # the last good one is fresh still
+    assert made.status == ("coasting" if spoil == "twisted" else "holding")
     np.testing.assert_allclose(made.torques, held, atol=1e-3)
     repeated(made, broken, 400)
     assert made.status == "released"

@@ -211,10 +211,11 @@ def test_a_colcon_workspace_builds_what_depends_on_it(tmp_path: Path) -> None:
     colcon = [tool("colcon"), "--log-base", tmp_path / "log"]
     source = tmp_path / "src"
     source.mkdir()
+    # in order of dependence core is first
     for name, folder in (
         ("a_consumer", CONSUMER),
         ("core", CORE),
-    ):  # in order of dependence core is first
+    ):
         (source / name).symlink_to(folder)
     found = succeed(*colcon, "list", "--names-only", "--topological-order", "--base-paths", source)
     assert found.split() == ["grasp", "consumer"]

@@ -60,9 +60,8 @@ def test_curvature_and_inverse_hessian(lanes: int) -> None:
     ):
         assert abs(value / oracle.phi(x, w[None]) - 1.0) <= EPS * (8.0 + 4.0 / depth)
         hessian = oracle.hessian(x, w[None])
-        size = (
-            np.abs(hessian).max() * np.abs(move).max() ** 2
-        )  # three powers of the difference: rounding of the largest
+        # three powers of the difference: rounding of the largest
+        size = np.abs(hessian).max() * np.abs(move).max() ** 2
         assert abs(bend - move @ hessian @ move) <= EPS * (32.0 + 16.0 / depth) * size
     for x, w, depth, block in zip(X, WEIGHTS, DEPTH, inverse.reshape(-1, 3, 3), strict=True):
         expected = oracle.inverse_hessian(x.astype(LONG), *w)

@@ -85,9 +85,8 @@ def test_the_summary_is_read_off() -> None:
     assert type(solution.iterations) is type(solution.trials) is int
     np.testing.assert_array_equal(solution.wrench, np.arange(6))
     np.testing.assert_array_equal(solution.multipliers, 10.0 + np.arange(6))
-    expected = np.einsum(
-        "nij,nj->ni", solution.frames, solution.force
-    )  # along the axes of the positions
+    # along the axes of the positions
+    expected = np.einsum("nij,nj->ni", solution.frames, solution.force)
     np.testing.assert_allclose(solution.object_force, expected, rtol=1e-14, atol=1e-15)
 
 

@@ -63,9 +63,8 @@ def test_a_picture_without_a_render_mode_is_a_warning_in_every_state() -> None:
         return str(caught[0].message)
 
     expected = warned(lambda: gym.make("CartPole-v1").unwrapped.render())
-    assert warned(bare.render) == expected.replace(
-        "CartPole-v1", "FourFingerGrasp-v0"
-    )  # before the first reset
+    # before the first reset
+    assert warned(bare.render) == expected.replace("CartPole-v1", "FourFingerGrasp-v0")
     with pytest.raises(ResetNeeded):
         env.render()
     env.reset(seed=0)

@@ -184,9 +184,8 @@ def test_a_finger_that_slips_off_leaves_the_others_balanced_and_comes_back(finge
     assert [info["contacts"] for info in trial.infos[:10]] == [4] * 10
     for tick in alone:
         assert tick["closure"]
-        np.testing.assert_array_equal(
-            tick["force"][finger], 0.0
-        )  # no command for a finger that touches nothing
+        # no command for a finger that touches nothing
+        np.testing.assert_array_equal(tick["force"][finger], 0.0)
         inside = trial.friction * tick["force"][:, 0] - np.hypot(
             tick["force"][:, 1], tick["force"][:, 2]
         )
@@ -220,9 +219,8 @@ def test_without_force_closure_the_episode_ends_with_that_cause() -> None:
     assert (last["contacts"] <= 1, last["status"] in ("none", "failed")) == (True, True)
     lost = [info["force_closure"] for info in trial.infos].index(False)
     assert 5 <= len(trial.infos) - lost <= 7  # max_contact_gap = 0.1 s, at 50 Hz
-    assert all(
-        info["iterations"] == 0 for info in trial.infos[lost + 1 :]
-    )  # the first lost it after its optimisation
+    # the first lost it after its optimisation
+    assert all(info["iterations"] == 0 for info in trial.infos[lost + 1 :])
     for info in trial.infos[lost:]:  # the last forces are kept, inside their cones
         force = info["commanded_force"]
         assert (np.hypot(force[:, 1], force[:, 2]) <= 0.4 * force[:, 0] + 1e-9).all()

@@ -51,9 +51,8 @@ def test_disturbances_are_held_and_motions_followed(settings: dict[str, Any]) ->
     infos = whole(1e-3, 200 if "task" in settings else 100, **settings)
     assert max(info["tilt"] for info in infos) < 0.02
     assert all(info["contacts"] == 4 and info["force_closure"] for info in infos)
-    assert infos[-1]["slip_distance"] < (
-        1e-3 if "task" in settings else 1e-4
-    )  # tips roll on a moving object
+    # tips roll on a moving object
+    assert infos[-1]["slip_distance"] < (1e-3 if "task" in settings else 1e-4)
     assert np.percentile([info["force_error"] for info in infos], 95) < 0.05
 
 
@@ -120,9 +119,8 @@ def test_a_wrench_measured_late_or_not_at_all_moves_the_object() -> None:
     )
     assert max(info["drift"] for info in still) < 5e-5  # what is left of the settling
     assert still[-1]["drift"] < 1e-6
-    assert (
-        5e-5 < max(info["drift"] for info in late) < 1e-3
-    )  # 1 N for a tick, 0.02 m/s, caught by 30 rad/s
+    # 1 N for a tick, 0.02 m/s, caught by 30 rad/s
+    assert 5e-5 < max(info["drift"] for info in late) < 1e-3
     assert never[-1]["drift"] == pytest.approx(1 / 180, rel=0.02)
 
 
@@ -130,9 +128,8 @@ def test_a_wrench_measured_late_or_not_at_all_moves_the_object() -> None:
     "settings", [{"disturbance": "random"}, {"task": "payload"}, {"sensors.tactile_noise": 0.05}]
 )
 def test_an_estimated_wrench_holds(settings: dict[str, Any]) -> None:
-    steps = (
-        200 if "task" in settings else 100
-    )  # unlike with "measured", the estimate contains the payload
+    # unlike with "measured", the estimate contains the payload
+    steps = 200 if "task" in settings else 100
     infos = whole(steps=steps, **{"sensors.wrench": "estimated"}, **settings)
     assert all(info["force_closure"] for info in infos)
     assert infos[-1]["drift"] < (1e-3 if "task" in settings else 0.02)

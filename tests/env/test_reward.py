@@ -104,9 +104,8 @@ def test_terms_are_recomputed_from_observation_and_info(settings: dict[str, Any]
         least = ForceOptimizer(contacts, method="conic").solve(info["wrench"]).total_normal_force
         total = force[:, 0].sum()
         excess = max(0.0, 1.0 - least / total) if total else 0.0
-        assert terms["reward/force"] == pytest.approx(
-            -weights.force * excess, abs=2e-4
-        )  # observations are float32
+        # observations are float32
+        assert terms["reward/force"] == pytest.approx(-weights.force * excess, abs=2e-4)
     env.close()
 
 

@@ -90,10 +90,11 @@ def test_records_dicts_keywords_paths_and_json_give_the_same() -> None:
         Impulses(2.0, 0.0),
     )
     assert (changed.object.shape, changed.object.mass) == ("sphere", 0.2)
+    # another shape has its own size
     assert wanted.override(shape="cylinder").object.size == (
         0.1,
         0.1,
-    )  # another shape has its own size
+    )
     env = FourFingerGrasp(config=wanted.override(mass=0.2).to_json(), mass=0.15)
     assert env.config == wanted.resolved()
     env.close()

@@ -67,9 +67,8 @@ def test_iterations_are_those_of_the_optimizer_with_these_weights(found):
                 best.total_normal_force / least - 1.0, rel=1e-4
             )
     one = chosen(found.summary, "case == 'weights' and rule == 'fixed' and force_weight == 1")
-    assert np.all(
-        np.diff(one["force_excess_median"], prepend=0.0) > 0.0
-    )  # more barrier squeezes more
+    # more barrier squeezes more
+    assert np.all(np.diff(one["force_excess_median"], prepend=0.0) > 0.0)
     fixed = chosen(weights, "rule == 'fixed'")
     assert fixed["iterations"].equals(fixed["trials"])  # the tuned step is never halved
     cases = experiments.Cases(GRASP, sample_ball(np.random.default_rng(0), 8), 2.0, 0.1)
@@ -151,9 +150,8 @@ def test_the_page_is_made_of_the_rows(found):
         figure = function(found.rows, found.summary)
         assert isinstance(figure, Figure), title
         assert all(axes.lines or not axes.get_visible() for axes in figure.axes), title
-    slow = found.rows.assign(
-        iterations=found.rows["iterations"].where(found.rows.index != 5)
-    )  # one never converged
+    # one never converged
+    slow = found.rows.assign(iterations=found.rows["iterations"].where(found.rows.index != 5))
     for rows, converged in ((found.rows, True), (slow, False)):
         judged = {row.claim.name: row.met for row in judge(page.CLAIMS, summary(rows))}
         assert [judged[claim.name] for claim in page.CLAIMS if "faster" not in claim.name] == [

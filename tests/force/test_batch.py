@@ -57,9 +57,8 @@ def test_the_answers_of_single_calls(kind: str) -> None:
     loads = wide_loads(100)
     batch = optimize_forces(GRASP, loads, **KINDS[kind])
     optimizer = ForceOptimizer(GRASP, **KINDS[kind])
-    agrees = (
-        10 * AGREES if kind == "conic to 1e-9" else AGREES
-    )  # its last system has few digits left
+    # its last system has few digits left
+    agrees = 10 * AGREES if kind == "conic to 1e-9" else AGREES
     for k, load in enumerate(loads):
         one = optimizer.solve(load)
         scale = np.abs(one.force).max()

@@ -20,9 +20,8 @@ from grasp_env.force import ForceLimits, ForceOptimizer, ForceSolution, Status
 from grasp_env.grasp import Grasp
 from grasp_env.quality import force_closure
 
-pytestmark = pytest.mark.filterwarnings(
-    "ignore::grasp_env.errors.GraspWarning"
-)  # friction of 30 and the like
+# friction of 30 and the like
+pytestmark = pytest.mark.filterwarnings("ignore::grasp_env.errors.GraspWarning")
 
 SEED = int(os.environ.get("GRASP_TRIAL_SEED", "20261128"))
 KINDS = ("hard", "elliptic", "soft", "mixed", "frictionless")

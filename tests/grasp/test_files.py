@@ -46,9 +46,8 @@ def test_grasps_come_back_bit_by_bit(tmp_path: Path) -> None:
         save_grasp(load_grasp(file), str(file))
         assert file.read_bytes() == first
         assert ("tangents" in json.loads(first)) == (grasp is turned)
-        assert [f.name for f in file.parent.iterdir()] == [
-            "grasp.json"
-        ]  # no temporary file is left
+        # no temporary file is left
+        assert [f.name for f in file.parent.iterdir()] == ["grasp.json"]
 
 
 def test_a_file_needs_three_keys(tmp_path: Path) -> None:

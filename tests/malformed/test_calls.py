@@ -78,9 +78,8 @@ def spoil(name: str, table: dict[str, Call], data: st.DataObject) -> None:
         argument: data.draw(mistakes(call.good[argument]), argument) for argument in sorted(wrong)
     }
     with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
-        warnings.simplefilter(
-            "ignore", GraspWarning
-        )  # a thousand metres are a valid grasp that looks wrong
+        # a thousand metres are a valid grasp that looks wrong
+        warnings.simplefilter("ignore", GraspWarning)
         try:
             answer = call.run(**arguments)
         except GraspError as error:

@@ -86,11 +86,12 @@ def test_every_reader_refuses_in_words_and_names_what_people_have_in_place_of_a_
     for kind, make in FILES.items():
         path = tmp_path / kind
         make(path)
+        # any JSON is a run's file
         if reader == "run" and kind in (
             "not a number",
             "wrong kinds",
             "a list",
-        ):  # any JSON is a run's file
+        ):
             READERS[reader](path)
             continue
         with pytest.raises(GraspError) as caught:

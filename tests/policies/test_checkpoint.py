@@ -43,9 +43,8 @@ def test_save_and_load_keep_every_bit(stem, tmp_path):
     grasp = presets.paper_cuboid()
     w = np.array(wrench.PAPER_CONSTANT)
     again = tmp_path / "deep" / "again.v2"
-    assert (
-        rule.checkpoint.save(again).name == "again.v2.safetensors"
-    )  # names with dots do not collide
+    # names with dots do not collide
+    assert rule.checkpoint.save(again).name == "again.v2.safetensors"
     for path in (again, again.with_name("again.v2.json"), again.with_name("again.v2.safetensors")):
         np.testing.assert_array_equal(LearnedInitialForce.load(path)(grasp, w), rule(grasp, w))
     assert not list(again.parent.glob(".*"))  # no temporary left behind

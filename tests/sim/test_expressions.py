@@ -116,9 +116,8 @@ def test_a_value_is_that_of_python(text: str) -> None:
 def test_errors_are_those_of_python(text: str) -> None:
     with pytest.raises(Exception) as expected:  # noqa: PT011
         eval(text, {"__builtins__": {}, **SYMBOLS}, {})
-    kind = (
-        AttributeError if text.startswith("limits") else expected.type
-    )  # xacro's dicts raise this one
+    # xacro's dicts raise this one
+    kind = AttributeError if text.startswith("limits") else expected.type
     if text == "side.none":  # of another value it could be harmful
         kind = RefusedError
     with pytest.raises(kind):

@@ -216,9 +216,8 @@ def test_planar_and_coupled_fingers(
 def test_known_hands(name: str, item: ObjectDescription) -> None:
     placed = place_hand(replace(HANDS[name](), placed=False), item)
     assert placed.placed
-    assert placed.finger_count >= (
-        4 if name == "allegro" else 3
-    )  # more fingers touch where they hold as well
+    # more fingers touch where they hold as well
+    assert placed.finger_count >= (4 if name == "allegro" else 3)
     check(placed, item)
 
 
@@ -304,9 +303,8 @@ def test_a_finger_that_does_not_touch_makes_a_grasp_worse() -> None:
 def test_links_that_always_touch() -> None:
     hand = gripper(3, 3)
     assert touching_pairs(hand, at_home=False) == ()
-    thick = Geometry(
-        "box", (0.14, 0.02, 0.12), (0.0, 0.0, 0.05)
-    )  # over the next link and the one after it
+    # over the next link and the one after it
+    thick = Geometry("box", (0.14, 0.02, 0.12), (0.0, 0.0, 0.05))
     assert (0, 2) in touching_pairs(
         replace(hand, links=(replace(hand.links[0], collision=(thick,)), *hand.links[1:]))
     )

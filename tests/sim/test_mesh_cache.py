@@ -124,9 +124,8 @@ def test_a_torn_mesh_is_refused_mended_with_all_parts_and_hollows_and_accepted(
     code, told = answer("mend", path)
     assert (code, told["out"]) == (0, str(tmp_path / "parts_mended.obj"))
     assert (told["faces_before"], told["parts"], told["parts_left_out"]) == (len(torn), 3, 1)
-    assert told["volume"] == pytest.approx(
-        (1.0 - 0.125 + 1.0) * BALL.volume, rel=0.05
-    )  # missing faces are guessed
+    # missing faces are guessed
+    assert told["volume"] == pytest.approx((1.0 - 0.125 + 1.0) * BALL.volume, rel=0.05)
     assert told["faces_kept"] > 0.3 * len(torn)
     corners, faces, changes = close_mesh(*read_mesh(open_mesh(told["out"], "it")), "it")
     assert (changes, len(faces)) == ([], told["faces_after"])
@@ -150,9 +149,8 @@ def test_a_closed_mesh_is_kept_and_nothing_is_overwritten_by_default(
         len(FACES),
         [],
     )
-    assert told["volume"] == pytest.approx(
-        1e9 * BALL.volume, rel=1e-5
-    )  # in the unit of the file, which has 7 digits
+    # in the unit of the file, which has 7 digits
+    assert told["volume"] == pytest.approx(1e9 * BALL.volume, rel=1e-5)
     assert not list(tmp_path.glob(".*"))  # nothing half written
 
 
@@ -379,13 +377,14 @@ def test_work_apart_has_its_own_memory_and_environment(
     assert apart("tasks:fill", "work", 60.0, memory=300_000_000, x=np.arange(3.0)) == {}
     with pytest.raises(ChildProcessError, match="MemoryError"):
         apart("tasks:fill", "work", 60.0, memory=100_000_000, x=np.arange(3.0))
+    # Python sets LC_CTYPE
     needed = {
         "PYTHONPATH",
         "LC_CTYPE",
         "LD_LIBRARY_PATH",
         "DYLD_LIBRARY_PATH",
         "PYTHONHOME",
-    }  # Python sets LC_CTYPE
+    }
     assert set(apart("tasks:names", "work", 60.0, variables={"OWN": "1"})["names"]) - needed == {
         "OWN"
     }

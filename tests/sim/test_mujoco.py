@@ -317,9 +317,8 @@ def test_pictures_show_the_object_where_it_is(shape: str) -> None:
     seen = (VIEW.unproject(depth)[depth != without] - s.position) @ s.rotation
     away = [scene.config.object.surface.nearest(point)[2] for point in seen[::10]]
     assert len(seen) > 1500
-    assert np.percentile(np.abs(away), 95) < (
-        1e-5 if shape == "cuboid" else 1e-3
-    )  # round ones are drawn with corners
+    # round ones are drawn with corners
+    assert np.percentile(np.abs(away), 95) < (1e-5 if shape == "cuboid" else 1e-3)
     scene.close()
 
 

@@ -56,12 +56,13 @@ def test_changed_mass_and_friction(make_scene: Callable[..., Scene]) -> None:
     client = scene.simulator.client.number
     world = scene.simulator.world
     scene.reset()
+    # wrenches are in the object's frame, whose z is now the world's -y
     turned = (
         math.sqrt(0.5),
         0.0,
         0.0,
         math.sqrt(0.5),
-    )  # wrenches are in the object's frame, whose z is now the world's -y
+    )
     bullet.resetBasePositionAndOrientation(world.object, (0.0, 0.0, 0.0), turned, client)
     scene.step(np.zeros(12), np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.001]))
     down = -np.array([0.1 / 0.5, 0.001 / 1e-3]) * scene.timestep

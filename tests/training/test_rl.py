@@ -91,9 +91,8 @@ def test_a_run_leaves_rows_that_the_environment_repeats_and_no_pickle(ppo):
         (agent, HELD_OUT_SEED + k) for agent in agents for k in range(2)
     ]
     assert sizes.tolist() == [40] * 2 + [20] * 6  # two training seeds
-    assert {*rows[rows["case"] == "curve"]["seed"]} == {
-        CURVE_SEED
-    }  # of agents and of the zero policy
+    # of agents and of the zero policy
+    assert {*rows[rows["case"] == "curve"]["seed"]} == {CURVE_SEED}
     env: Any = gym.make(f"grasp_env:{ENV_ID}", config=RLConfig(env=SHORT).env_settings)
     mine = held_out[(held_out["agent"] == "zero") & (held_out["seed"] == HELD_OUT_SEED + 1)]
     total = 0.0
@@ -297,10 +296,11 @@ def test_runs_are_compared_and_agents_train_in_any_environment(ppo, tmp_path, mo
     )
     assert {place: seeds.tolist() for place, seeds in agents.items()} == {SHORT: [0, 3], BALL: [0]}
     assert held_out["seed"].unique().tolist() == [HELD_OUT_SEED]
+    # each has its baselines
     assert held_out.groupby("environment")["agent"].nunique().to_dict() == {
         SHORT: 4,
         BALL: 4,
-    }  # each has its baselines
+    }
     assert [one["seed"] for one in about["agents"]] == [0, 3, 0]
     assert len(page.CLAIMS[0].values(summary(rows))) == 2  # in both environments
 

@@ -65,9 +65,8 @@ def _direction(state: dict[str, Any], gradient: Tensor) -> Tensor:
     )
     for name, product in sides.items():
         state[name].lerp_(product, 1.0 - DECAY)
-        if (
-            int(state["step"]) % EVERY == 0
-        ):  # a power iteration follows the slowly turning eigenvectors
+        # a power iteration follows the slowly turning eigenvectors
+        if int(state["step"]) % EVERY == 0:
             state[f"{name} basis"] = torch.linalg.qr(state[name] @ state[f"{name} basis"])[
                 0
             ].contiguous()

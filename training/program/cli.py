@@ -86,9 +86,8 @@ class UsageError(InvalidInputError):
 
         text = " ".join(Text.from_ansi(page).plain.translate(_FRAME).split())
         super().__init__(text)
-        names = {
-            name.strip("'(),.") for name in text.split()
-        }  # both the given and the allowed ones
+        # both the given and the allowed ones
+        names = {name.strip("'(),.") for name in text.split()}
         questions = [
             alike(word, names - {word})
             for word in words

@@ -265,9 +265,8 @@ def train_seed(
                 watch = _Watch(
                     training, lambda: interrupted() or (stop is not None and stop.exists()), bar
                 )
-                every = (
-                    1 if config.algorithm == "ppo" else config.envs
-                )  # PPO counts updates, SAC episodes
+                # PPO counts updates, SAC episodes
+                every = 1 if config.algorithm == "ppo" else config.envs
                 agent.learn(
                     config.steps - agent.num_timesteps,
                     watch,
@@ -312,9 +311,8 @@ class _Watch(BaseCallback):
         config = self._training.config
         curve = self._training.curve
         steps = self.num_timesteps
-        if (
-            config.algorithm == "ppo"
-        ):  # the update comes after the log row of its rollout, so it gets its own
+        # the update comes after the log row of its rollout, so it gets its own
+        if config.algorithm == "ppo":
             self.logger.dump(steps)
         if not curve or steps - curve[-1]["training_steps"] >= config.steps / config.curve_points:
             self._score()

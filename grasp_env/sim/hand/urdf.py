@@ -112,9 +112,8 @@ def _add_inertial(element: Element, link: Link) -> None:
 def _add_shapes(element: Element, body: Link | Palm) -> None:
     for index, geometry in enumerate(body.visual):
         visual = _add_geometry(element, "visual", geometry)
-        material = SubElement(
-            visual, "material", name=f"{body.name}_{index}"
-        )  # PyBullet keeps one color for each name
+        # PyBullet keeps one color for each name
+        material = SubElement(visual, "material", name=f"{body.name}_{index}")
         SubElement(material, "color", rgba=digits((*(geometry.color or body.color), 1.0)))
     for geometry in body.collision:
         _add_geometry(element, "collision", geometry)

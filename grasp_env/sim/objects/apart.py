@@ -19,11 +19,12 @@ import numpy as np
 from grasp_env.inputs.arguments import Array
 from grasp_env.sim.progress import ProgressLine
 
+# variables without which some Pythons do not start
 _NEEDED = (
     "LD_LIBRARY_PATH",
     "DYLD_LIBRARY_PATH",
     "PYTHONHOME",
-)  # variables without which some Pythons do not start
+)
 
 
 def apart(

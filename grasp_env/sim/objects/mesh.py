@@ -121,9 +121,8 @@ def _centred(corners: Array, faces: Any) -> dict[str, Any]:
     """Move the corners to the centre of mass and the principal axes, and measure the solid."""
     shift = corners.mean(axis=0)
     a, b, c = (corners[faces[:, k]] - shift for k in range(3))
-    volumes = (
-        np.einsum("fk,fk->f", a, np.cross(b, c)) / 6.0
-    )  # of the tetrahedra between origin and faces
+    # of the tetrahedra between origin and faces
+    volumes = np.einsum("fk,fk->f", a, np.cross(b, c)) / 6.0
     volume = volumes.sum()
     center = ((a + b + c) * volumes[:, None]).sum(axis=0) / (4.0 * volume)
     total = a + b + c

@@ -26,12 +26,13 @@ from grasp_env.sim.picture.painter import Painter, before_background
 from grasp_env.sim.picture.view import FAR_PLANE, NEAR_PLANE, View
 from grasp_env.sim.scene import Scene
 
+# modules of MuJoCo that make an OpenGL context, as MUJOCO_GL names them
 _BACKENDS = (
     "egl",
     "osmesa",
     "glfw",
     "cgl",
-)  # modules of MuJoCo that make an OpenGL context, as MUJOCO_GL names them
+)
 _MOST_SHAPES = 10_000
 
 

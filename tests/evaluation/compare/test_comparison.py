@@ -44,9 +44,8 @@ def test_the_plan_and_the_rows_have_every_set_start_method_and_scenario():
     for name in HOLDS:
         assert {*counts[f"hold_{name}"]} == {CONFIG.episodes if name in RANDOM_STARTS else 1}
     episodes = chosen(held, "case == 'hold_random' and start == 'linear_combination'")
-    assert (
-        episodes["normal_force"].nunique() == CONFIG.episodes
-    )  # every episode has a seed of its own
+    # every episode has a seed of its own
+    assert episodes["normal_force"].nunique() == CONFIG.episodes
     assert 0 < rows["bytes"].iloc[-1] < 2_000_000
 
 

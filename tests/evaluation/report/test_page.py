@@ -60,9 +60,8 @@ def test_pages_need_no_other_file(held):
 
 def test_tables_and_charts_of_starts_are_recomputed_from_the_rows():
     rows = small_run().folder.load()[0]
-    rows = rows[
-        ~rows["start"].isin(["sometimes", "outside"])
-    ]  # without the user's starts, which fail
+    # without the user's starts, which fail
+    rows = rows[~rows["start"].isin(["sometimes", "outside"])]
     means = summary(rows)
     keys = starts_page.shown(summary(rows))
     cells = starts_page.all_starts(rows, means).set_index("start")

@@ -110,6 +110,7 @@ def test_files_keep_every_value_and_type(tmp_path, end):
         5e-324,
         *rng.normal(size=300) * 10.0 ** rng.integers(-300, 300, 300),
     ]
+    # what readers of CSV take for something else
     texts = [
         "NA",
         "nan",
@@ -118,7 +119,7 @@ def test_files_keep_every_value_and_type(tmp_path, end):
         "a\rb",
         'a\n"b",',
         "\u2028",
-    ]  # what readers of CSV take for something else
+    ]
     rows = join(
         [
             made(),

@@ -86,9 +86,8 @@ class Evaluate:
 
         if self.what == "transfer":
             for name in BOTH:
-                class_of(
-                    engine_of(name), "simulator"
-                )  # a missing engine is reported before the folder is made
+                # a missing engine is reported before the folder is made
+                class_of(engine_of(name), "simulator")
         kind = self.what
         if kind == "env" and self.hands:
             kind = "objects" if self.objects else "hands"

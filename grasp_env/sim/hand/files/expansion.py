@@ -84,10 +84,11 @@ _XACRO = (
     "fatal",
     "tokenize",
 )
+# events of the interpreter that xacro needs; `compile` only parses
 _HARMLESS = (
     "builtins.id",
     "compile",
-)  # events of the interpreter that xacro needs; `compile` only parses
+)
 _WILD = re.compile(r"[*\[?]")
 
 
@@ -117,9 +118,8 @@ def _expanded(file: str, arguments: _Arguments, files: _Files) -> bytes:
 
     _guard(xacro, substitution_args, arguments, files)
     with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()), warnings.catch_warnings():
-        warnings.simplefilter(
-            "ignore"
-        )  # of expressions; they would read the file of the expression
+        # of expressions; they would read the file of the expression
+        warnings.simplefilter("ignore")
         with files.watch.set(True):
             document: Any = xacro.process_file(file, mappings=arguments)
         text = document.toxml().encode()
@@ -178,9 +178,8 @@ def _guard(xacro: Any, substitution_args: Any, arguments: _Arguments, files: _Fi
             xacro.filestack.pop()
             raise xacro.XacroException(f"{error.strerror}: {name}", exc=error) from error
         for element in document.getElementsByTagName("xacro:arg"):
-            if not element.hasAttribute(
-                "default"
-            ):  # xacro would refuse it even if the argument is given
+            # xacro would refuse it even if the argument is given
+            if not element.hasAttribute("default"):
                 arguments.requested[element.getAttribute("name")] = None
                 element.parentNode.removeChild(element)
         return document
@@ -264,9 +263,8 @@ class _Files:
         """Return an XML file, or raise OSError."""
         with self.watch.set(False):
             blob = self._read(name)
-            understood(
-                blob, read_xml, InvalidInputError, f"the file {name}", "XML"
-            )  # without a DOCTYPE
+            # without a DOCTYPE
+            understood(blob, read_xml, InvalidInputError, f"the file {name}", "XML")
             return minidom.parseString(blob)
 
     def open(self, name: str) -> io.StringIO:

@@ -22,11 +22,12 @@ from grasp_env.sim.objects.apart import apart
 _SECONDS = 30.0
 _MAX_MEMORY = 8 << 30  # longest time [s] and largest memory [bytes] to compile a file
 _UNNAMED = "MuJoCo Model"  # name that MuJoCo gives to a model without one
+# fields with the number of elements of each kind
 _COUNTS = {
     "body": "nbody",
     "joint": "njnt",
     "actuator": "nu",
-}  # fields with the number of elements of each kind
+}
 
 
 def load_model(path: Path) -> tuple[Any, bool]:

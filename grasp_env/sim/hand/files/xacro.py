@@ -19,9 +19,8 @@ from grasp_env.sim.xml_files import read_xml
 
 _SECONDS = 30.0
 _MAX_MEMORY = 1000 * MEGABYTE  # longest time [s] and largest memory [bytes] to expand a file
-_ELEMENT = re.compile(
-    r"\{[^}]*xacro/?\}"
-)  # start of the tag of a xacro element, for any address of the namespace
+# start of the tag of a xacro element, for any address of the namespace
+_ELEMENT = re.compile(r"\{[^}]*xacro/?\}")
 
 
 def robot_of(
