@@ -82,12 +82,12 @@ def main(words: Sequence[str] | None = None) -> None:
         "--objects", nargs="+", required=True, help="mesh files, each FILE or FILE=SCALE"
     )
     parser.add_argument("--out", type=Path, default=Path("docs/static/held.webp"))
-    given = parser.parse_args(words)
-    picture = sheet(given.hands, given.objects)
-    with replacing(given.out) as hidden:
+    options = parser.parse_args(words)
+    picture = sheet(options.hands, options.objects)
+    with replacing(options.out) as hidden:
         picture.save(hidden, quality=82)
     print(
-        f"{given.out}: {np.array(picture).shape[1]} x {np.array(picture).shape[0]} pixels, {given.out.stat().st_size // 1000} kB"
+        f"{options.out}: {np.array(picture).shape[1]} x {np.array(picture).shape[0]} pixels, {options.out.stat().st_size // 1000} kB"
     )
 
 

@@ -25,15 +25,15 @@ def tilted(degrees):
     return gravity_wrench(0.5, com=[0, 0, 0.02], gravity=down)
 
 
-found = {}
+arrows_at = {}
 for degrees in range(0, 41, 5):
     try:
         solution = optimize_force(grasp, tilted(degrees))
-        found[degrees] = grasp.to_object_frame(solution.force)
+        arrows_at[degrees] = grasp.to_object_frame(solution.force)
         print(f"{degrees:2d} deg: held, {solution.cone_margin:.3f} N from slipping")
     except InfeasibleWrenchError as error:
         # velocity [m/s] and angular velocity, up to scale
-        twist = found[degrees] = error.solution.certificate
+        twist = arrows_at[degrees] = error.solution.certificate
         slope = np.degrees(np.arctan2(twist[2], twist[0]))
         print(
             f"{degrees:2d} deg: no force; the proof slides along x, {slope:.0f} deg off the fingertips"
@@ -45,7 +45,12 @@ for degrees in range(0, 41, 5):
             and (velocities[:, 0] >= 0.4 * np.hypot(*velocities[:, 1:].T) - 1e-9).all()
         )
 # atan(0.4) is 21.8
-assert [degrees for degrees, arrows in found.items() if arrows.shape == (6,)] == [25, 30, 35, 40]
+assert [degrees for degrees, arrows in arrows_at.items() if arrows.shape == (6,)] == [
+    25,
+    30,
+    35,
+    40,
+]
 
 corners = 1e3 * np.array([[-0.04, 0.04, 0.04, -0.04, -0.04], [0, 0, 0.04, 0.04, 0]])  # x and z [mm]
 fig, axes = plt.subplots(1, 2, figsize=(8, 4.5), sharey=True, layout="constrained")
@@ -56,7 +61,7 @@ for ax, degrees, what in zip(
     sin = np.sin(np.radians(degrees))
     turn = np.array([[cos, sin], [-sin, cos]])  # from the block's x and z to the picture
     ax.fill(*(turn @ corners), color="0.85")
-    arrows = found[degrees]
+    arrows = arrows_at[degrees]
     if arrows.shape == (6,):
         starts = corners[:, :4]
         arrows = np.tile(arrows[[0, 2]] / np.linalg.norm(arrows), (4, 1)).T * 30

@@ -47,15 +47,15 @@ envs.save(str(FOLDER / "normaliser.pkl"))
 def iterations(predict):
     """Return the iterations of the solver at every step of ten held-out episodes."""
     env = gym.make(ENV, **SETTINGS)
-    found = []
+    counts = []
     for seed in range(1_000_000, 1_000_010):
-        (observation, info) = env.reset(seed=seed)
+        observation, info = env.reset(seed=seed)
         over = False
         while not over:
             observation, _, lost, over, info = env.step(predict(observation))
             assert not lost, info["failure"]
-            found.append(info["iterations"])
-    return found
+            counts.append(info["iterations"])
+    return counts
 
 
 loaded = PPO.load(FOLDER / "agent")

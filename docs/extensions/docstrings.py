@@ -45,9 +45,9 @@ def constant_docs(name: str, value: Any) -> list[str]:
 
     `__doc__` of a constant is the docstring of its type.
     """
-    for module, found in list(sys.modules.items()):
-        if module.partition(".")[0] in ROOMS and vars(found).get(name) is value:
-            docs = ModuleAnalyzer.for_module(module).find_attr_docs().get(("", name))
+    for name_of_module, module in list(sys.modules.items()):
+        if name_of_module.partition(".")[0] in ROOMS and vars(module).get(name) is value:
+            docs = ModuleAnalyzer.for_module(name_of_module).find_attr_docs().get(("", name))
             if docs:
                 return list(docs)
     return []
@@ -55,30 +55,29 @@ def constant_docs(name: str, value: Any) -> list[str]:
 
 def from_markdown(lines: list[str]) -> list[str]:
     """Convert headings and tables of Gymnasium's docstrings from Markdown to reStructuredText."""
-    made: list[str] = []
+    converted: list[str] = []
     for k, line in enumerate(lines):
         if line.startswith("## "):
-            made += ["", f".. rubric:: {line[3:]}", ""]
+            converted += ["", f".. rubric:: {line[3:]}", ""]
         elif line.startswith("| "):
             if not lines[k - 1].startswith("|"):
-                made += ["", ".. list-table::", "   :header-rows: 1", ""]
+                converted += ["", ".. list-table::", "   :header-rows: 1", ""]
             cells = [cell.strip() for cell in line.strip("|").split("|")]
-            made += [f"   {'*' if cell is cells[0] else ' '} - {cell}" for cell in cells]
+            converted += [f"   {'*' if cell is cells[0] else ' '} - {cell}" for cell in cells]
         elif not line.startswith("|--"):
-            made.append(line)
-    return made
+            converted.append(line)
+    return converted
 
 
-def mend(_app: Sphinx, what: str, name: str, value: Any, _options: Any, lines: list[str]) -> None:
+def prepare(
+    _app: Sphinx, what: str, name: str, value: Any, _options: Any, lines: list[str]
+) -> None:
     """Change a docstring before Google's sections are read."""
     if what == "data":
         lines[:] = constant_docs(name.rpartition(".")[2], value)
     if what in ("data", "attribute", "property"):
         # a comment: text before a colon in the first line would be taken as the type
-        lines[:0] = [
-            "..",
-            "",
-        ]
+        lines[:0] = ["..", ""]
     if any(line.startswith("## ") for line in lines):
         lines[:] = from_markdown(lines)
     for k, line in enumerate(lines):
@@ -98,11 +97,11 @@ def add_examples(
     app: Sphinx, what: str, name: str, _value: Any, _options: Any, lines: list[str]
 ) -> None:
     """Add the gallery's programs that use a class or function, as pictures below it."""
-    found = app.srcdir / "gallery" / "backreferences" / f"{name}.examples"
+    programs = app.srcdir / "gallery" / "backreferences" / f"{name}.examples"
     if (
         what in ("class", "function")
-        and found.is_file()
-        and found.read_text(encoding="utf-8").strip()
+        and programs.is_file()
+        and programs.read_text(encoding="utf-8").strip()
     ):
         lines += [
             "",
@@ -125,7 +124,7 @@ def setup(app: Sphinx) -> dict[str, Any]:
     """Register the extension with Sphinx."""
     app.add_role_to_domain("py", "word", Word())
     app.add_lexer("console", BashLexer)  # commands without a prompt, and no output
-    app.connect("autodoc-process-docstring", mend, priority=100)
+    app.connect("autodoc-process-docstring", prepare, priority=100)
     app.connect("autodoc-process-docstring", add_examples, priority=900)
     app.connect("autodoc-skip-member", skip)
     app.connect("doctree-read", strip_blocks)
