@@ -31,7 +31,7 @@ from training.evaluation.report.page import cell, claims_of, module_of
 from training.evaluation.report.reproduce_page import RULES
 from training.evaluation.report.rl_page import AGENTS, SPEEDS, place
 from training.evaluation.report.starts_page import pair
-from training.evaluation.results.claims import Judged, judge
+from training.evaluation.results.claims import Verdict, judge
 from training.evaluation.results.run import Run
 from training.evaluation.results.table import (
     Rows,
@@ -111,7 +111,7 @@ def saved(kind: str) -> tuple[Rows, dict[str, Any]]:
     return getattr(shown, "derive", lambda means: means)(means), about
 
 
-def judged(kind: str) -> list[Judged]:
+def judged(kind: str) -> list[Verdict]:
     """Return the claims of a saved run, missed ones first."""
     means, about = saved(kind)
     return judge(claims_of(about), means)
@@ -149,7 +149,7 @@ def targets(kind: str) -> Callable[[], str]:
                 {
                     "": row.claim.name,
                     "target": row.target,
-                    "measured": row.found,
+                    "measured": row.result,
                     "met": VERDICTS[row.met],
                 }
                 for row in judged(kind)
@@ -482,11 +482,11 @@ def overview() -> str:
         ],
         [
             "largest difference of the holding rate between MuJoCo and Bullet",
-            engines.found,
+            engines.result,
             f"target: {engines.target}",
         ],
         *(
-            [f"**missed**: {name}", one.found + unit, f"target: {one.target}{unit}"]
+            [f"**missed**: {name}", one.result + unit, f"target: {one.target}{unit}"]
             for kind in ("starts", "layer", "env", "env_speed")
             for one in judged(kind)
             if one.met is False

@@ -1,3 +1,1 @@
-"""Training of learned starts (`fit`) and agents (`rl`), their evaluation, and the program `grasp`
-(`program`).
-"""
+"""Training of starts (`fit`) and agents (`rl`), their evaluation, and the program `grasp`."""

@@ -1,6 +1,4 @@
-"""Random grasps: points on random solids with force closure, or a known grasp with slightly moved
-contacts.
-"""
+"""Random grasps on solids, and known grasps with slightly moved contacts."""
 
 from __future__ import annotations
 

@@ -16,11 +16,9 @@ from grasp_env.inputs.arguments import Array
 
 LABEL_GAP, LABEL_ITERATIONS = 1e-10, 200
 BALL = 0.7
-"""Share of the wrenches from the ball, on which starts are compared; the others come from the whole
-range."""
+"""Share of the wrenches from the ball on which starts are compared."""
 LEAN = 0.3
-"""Slope of the density of frictions, from 1 - LEAN at the least to 1 + LEAN at the largest, where
-the flow takes more steps."""
+"""Slope of the density of frictions: 1 - LEAN at the least, 1 + LEAN at the largest."""
 CHUNK = 4096
 """Samples whose metric is computed at once."""
 
@@ -50,8 +48,7 @@ class Source:
     def draw(
         self, rng: np.random.Generator, count: int, groups: int, ball: float = BALL
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Draw about `count` wrenches (groups * per, 6) and their friction (groups * per,), equal
-        within a group.
+        """Draw about `count` wrenches (B, 6) and their frictions (B,), equal within a group.
 
         Args:
             rng: source of every sample.
@@ -72,18 +69,14 @@ class Source:
         ), friction.repeat(per)
 
     def _from_unit(self, drawn: Array) -> Array:
-        """Transform wrenches (B, 6), with moments over 0.05 m taken as coordinates of the unit
-        frame, to the object frame.
-        """
+        """Transform wrenches (B, 6) of the unit frame, moments over 0.05 m, to the object frame."""
         return (drawn / np.repeat([1.0, MAGNITUDE_LENGTH], 3)) @ np.linalg.inv(
             self.grasp.unit_frame
         ).T
 
 
 def with_mean_friction(grasp: Grasp, friction: float) -> Grasp:
-    """Return the grasp with all friction coefficients scaled by one factor, so that their mean is
-    `friction`.
-    """
+    """Scale all friction coefficients of a grasp, so that their mean is `friction`."""
     return grasp.with_friction(grasp.models.friction * (friction / float(grasp.friction.mean())))
 
 
@@ -118,10 +111,9 @@ def label(
     friction: np.ndarray,
     workers: int = 2,
 ) -> Dataset:
-    """Label wrenches (B, 6) [N, N m] on a grasp with mean frictions (B,) by Newton's method, to a
-    relative gap of 1e-10.
+    """Label wrenches (B, 6) [N, N m] by Newton's method to a relative gap of 1e-10.
 
-    For `reference` see `null_space_basis`; `workers` are threads, since the core releases the GIL.
+    The mean frictions are (B,). For `reference` see `null_space_basis`; `workers` are threads, since the core releases the GIL.
 
     Raises:
         NotConvergedError: a label has a relative gap above 1e-6.
@@ -160,8 +152,9 @@ def label(
 def _metric(
     force: Array, scales: Array, null_space: Array, objective: Objective, least: Array
 ) -> Array:
-    """Return upper factors (B, K, K) of the Hessian of Phi over 2 min Phi, in null-space
-    coordinates at the optimal forces (B, 3N) [N].
+    """Return upper factors (B, K, K) of the Hessian of Phi over 2 min Phi.
+
+    It is in null-space coordinates, at the optimal forces (B, 3N) [N].
 
     `scales` (B, N, 3) are those of cone coordinates, `null_space` is (3N, K), `least` (B,) min Phi.
     """

@@ -17,8 +17,7 @@ from training.evaluation.results.run import check_counts
 LEAST, MOST = 5 / 8, 3 / 2
 """Default range of the friction, as factors of the grasp's own."""
 CLOSURE = 0.01
-"""Least closure margin times the number of contacts, as for the random grasps on which starts are
-compared."""
+"""Least closure margin times the number of contacts, as of random grasps in comparisons."""
 
 
 @dataclass(frozen=True)
@@ -128,9 +127,7 @@ class FitConfig:
 
 
 def closes(grasp: Grasp, friction: float) -> bool:
-    """Return True if the grasp closes with that mean friction, with a margin that keeps forces
-    bounded.
-    """
+    """Return True if the grasp closes at that mean friction with the margin `CLOSURE`."""
     return (
         feasibility(with_mean_friction(grasp, friction), np.zeros(6)).margin
         > CLOSURE / grasp.n_contacts

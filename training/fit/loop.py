@@ -1,6 +1,4 @@
-"""Training loop: batches and loss, warm-up and cosine schedule, held-out scores, saved states,
-orderly interrupts.
-"""
+"""Training loop: batches, loss, learning rate, held-out scores, saved states, interrupts."""
 
 from __future__ import annotations
 
@@ -41,15 +39,14 @@ FLOOR = 1e-6
 """Gap below which a smaller one gains nothing."""
 PERCENTILES = (50, 95, 99)
 Samples = tuple[Tensor, Tensor, Tensor]
-"""Features (F, B, inputs), R m (F, B, K, K) and R z* (F, B, K), friction by friction; with the
-network's output y the gap to second
-order is |R m y - R z*|^2."""
+"""Features (F, B, inputs), R m (F, B, K, K) and R z* (F, B, K), by friction.
+
+With the network's output y the gap to second order is |R m y - R z*|^2.
+"""
 
 
 class NetworkTask:
-    """Regression of the optimum by a network: the loss is the mean of a small power of the gap of
-    Phi, to second order.
-    """
+    """Regression of the optimum: the loss is the mean of a small power of the gap of Phi."""
 
     def __init__(
         self, config: FitConfig, module: Network, train: Samples, held_out: tuple[Samples, ...]

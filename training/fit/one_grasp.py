@@ -34,11 +34,9 @@ from training.fit.state import FitProgress, StateFile
 FRICTIONS = 256
 """Number of frictions in the data."""
 HELD_OUT, HELD_OUT_SEED = 4096, 77_777
-"""Number and seed of the held-out wrenches, the same for every training, so that trainings can be
-compared."""
+"""Number and seed of the held-out wrenches, the same for every training."""
 MOST_NUMBERS = 60_000_000
-"""Largest number of floats in the samples, 240 MB; it reduces the number of samples for many
-contacts."""
+"""Largest number of floats in the samples, 240 MB; it limits the samples of many contacts."""
 
 
 def fit(

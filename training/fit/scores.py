@@ -1,6 +1,4 @@
-"""Scores of a network on held-out wrenches: its gap, and the Newton steps and flow iterations that
-remain.
-"""
+"""Scores of a network on held-out wrenches: its gap, and the steps that remain."""
 
 from __future__ import annotations
 
@@ -29,8 +27,7 @@ def scores(
     frictions: np.ndarray,
     flow: bool = False,
 ) -> dict[str, Any]:
-    """Score the network of a model, without its Newton steps, on wrenches (B, 6) [N, N m] on a
-    grasp with mean frictions (B,).
+    """Score a model's network, without Newton steps, on wrenches (B, 6) and frictions (B,).
 
     Returns:
         "gap" of the force before any step; "outside the cones": the share before the repair;

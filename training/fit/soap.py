@@ -1,5 +1,4 @@
-"""SOAP: Adam in the eigenbasis of Shampoo's preconditioner (Vyas et al., 2024), for networks with
-small matrices.
+"""SOAP: Adam in the eigenbasis of Shampoo's preconditioner (Vyas et al., 2024).
 
 A regression that must be exact needs far fewer steps than with Adam. With layers this narrow its
 few small products cost little compared with the batch.
@@ -21,8 +20,7 @@ EVERY = 10
 
 
 class Soap(torch.optim.Optimizer):
-    """Optimiser with momentum and squared gradients in the eigenbases of mean G G^T and mean G^T G,
-    G a matrix of gradients.
+    """Optimiser with moments in the eigenbases of mean G G^T and mean G^T G, G a gradient.
 
     Args:
         parameters: matrices and vectors.

@@ -1,6 +1,4 @@
-"""State of an interrupted training: one file with weights, the optimiser's moments, the generator's
-state and the curve.
-"""
+"""State of an interrupted training in one file."""
 
 from __future__ import annotations
 
@@ -22,8 +20,7 @@ from training.evaluation.results import Run
 
 SCHEMA = "grasp-force/training-state/1"
 SPACE = 32_000_000
-"""Free space needed before a training starts [bytes]: model and state, and a second copy of each
-while it is replaced."""
+"""Free space needed before a training starts [bytes]: model and state, twice."""
 
 
 @dataclass
@@ -45,8 +42,7 @@ class FitProgress:
 
 
 class StateFile:
-    """File `<out>.state.safetensors`, replaced at every save and removed when the model is
-    finished.
+    """File `<out>.state.safetensors`, replaced at every save, removed with the finished model.
 
     Args:
         out: stem of the model's files.

@@ -1,6 +1,4 @@
-"""Program `grasp`: run one sub-command, report errors in one line or as JSON, and return an exit
-code.
-"""
+"""Program `grasp`: run a sub-command, report errors, and return an exit code."""
 
 from __future__ import annotations
 
@@ -37,8 +35,7 @@ COMMANDS = {
     "rl": ("RL", "Train a reinforcement-learning agent, and score it."),
     "reproduce": ("Reproduce", "Study what the paper leaves open, and its claims."),
 }
-"""Class in `training.program.commands.<sub-command>`, and line in `grasp --help`, of each
-sub-command."""
+"""Class in `training.program.commands.<sub-command>`, and line in `grasp --help`."""
 EXIT_CODES = {
     0: "done",
     1: "a fault of the program",

@@ -74,8 +74,7 @@ def record(
     policy: Policy | None = None,
     **settings: Any,
 ) -> Ending:
-    """Roll out the hand, save the last frame (.png) or a video (.mp4, .gif, .webp) at 25 frames/s,
-    and return the outcome.
+    """Roll out the hand, save a picture or a video at 25 frames/s, and return the outcome.
 
     Frames are written one by one, but those of .webp, the smallest format that browsers play, at
     the end. The file gets its name when it is complete. If ctrl-C stops the recording, an older
@@ -118,9 +117,7 @@ def record(
 def _frames(
     env: gym.Env[Any, Any], seed: int, policy: Policy | None, only_last: bool, ending: Ending
 ) -> Generator[np.ndarray]:
-    """Yield the pictures of one episode and keep `ending` up to date; a terminal shows a progress
-    bar.
-    """
+    """Yield the pictures of one episode, update `ending`, and show a progress bar."""
     rate = int(env.metadata["render_fps"])
     every = max(1, round(rate / FRAME_RATE))
     with progress(Console(stderr=True)) as bar:
@@ -156,9 +153,7 @@ def _write(path: Path, frames: Iterator[np.ndarray]) -> None:
 
 
 def _write_film(path: Path, first: np.ndarray, frames: Iterator[np.ndarray]) -> None:
-    """Write an .mp4; raise an OSError if ffmpeg, whose end imageio does not report, has not
-    finished it.
-    """
+    """Write an .mp4; raise an OSError if ffmpeg has not finished it."""
     import imageio_ffmpeg  # pyright: ignore[reportMissingImports]
 
     # H.264 stores colours in blocks of two pixels
@@ -183,9 +178,7 @@ def _write_film(path: Path, first: np.ndarray, frames: Iterator[np.ndarray]) -> 
 
 
 def _is_whole(path: Path) -> bool:
-    """Return True if the boxes of an .mp4 fill the file, the index among them, which ffmpeg writes
-    last.
-    """
+    """Return True if the boxes of an .mp4 fill the file, with the index that is written last."""
     names = set[bytes]()
     place = 0
     size = os.path.getsize(path) if path.exists() else 0

@@ -1,6 +1,4 @@
-"""stable-baselines3 agents that start near the zero policy, and conversion of their state to and
-from plain arrays.
-"""
+"""stable-baselines3 agents that start near the zero policy, and their state as arrays."""
 
 from __future__ import annotations
 
@@ -19,15 +17,13 @@ from training.rl.rl_config import RLConfig
 
 _WIDTHS = [64, 64]
 _MEAN_GAIN = 0.01
-"""Gain of the last layer of the mean action: stable-baselines3's value for PPO, also used for SAC.
-"""
+"""Gain of the mean action's last layer: stable-baselines3's for PPO, also used for SAC."""
 _REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 Arrays = dict[str, dict[str, np.ndarray]]
 
 
 def make_envs(settings: dict[str, Any], count: int, gamma: float) -> VecNormalize:
-    """Make parallel environments behind a normaliser of observations and rewards; seed them with
-    `first_seed`.
+    """Make parallel environments with normalised observations and rewards, not yet seeded.
 
     They run in one process: one process each was no faster on two cores (steps/s: 4 environments
     912 in one process, 844 in four; 8 environments 737 and 820), since sending the data of a step
@@ -52,8 +48,7 @@ def make_envs(settings: dict[str, Any], count: int, gamma: float) -> VecNormaliz
 
 
 def first_seed(seed: int, steps: int) -> int:
-    """Return the seed of the first environment after a number of steps, in [2**30, 2**31); the
-    other environments have the next ones.
+    """Return the first environment's seed after `steps`, in [2**30, 2**31); the others follow.
 
     A resumed training sees new episodes, and no training sees the episodes that score agents.
     """
@@ -62,9 +57,7 @@ def first_seed(seed: int, steps: int) -> int:
 
 
 def build(config: RLConfig, envs: VecNormalize, seed: int) -> PPO | SAC:
-    """Make an untrained agent whose mean action is nearly zero and whose exploration is
-    `config.deviation`.
-    """
+    """Make an untrained agent: mean action nearly zero, exploration `config.deviation`."""
     torch.set_num_threads(1)  # more threads do not help networks this small
     common: Any = {
         "learning_rate": config.learning_rate,
@@ -112,9 +105,7 @@ def build(config: RLConfig, envs: VecNormalize, seed: int) -> PPO | SAC:
 
 
 def arrays(agent: PPO | SAC, envs: VecNormalize) -> Arrays:
-    """Return weights ("policy"), optimisers ("optimiser"), the normaliser and, of SAC, the replay
-    buffer ("replay") as arrays by name.
-    """
+    """Return "policy", "optimiser", "normaliser" and, of SAC, "replay" as arrays by name."""
     found = agent.get_parameters()
     out: dict[str, dict[str, Any]] = {"policy": found.pop("policy")}
     out["optimiser"] = {

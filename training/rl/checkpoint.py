@@ -1,6 +1,4 @@
-"""Checkpoints of a training: all that is needed to continue it, in the format of
-`policies.agent_files`.
-"""
+"""Checkpoints that a training continues from, in the format of `policies.agent_files`."""
 
 from __future__ import annotations
 
@@ -99,8 +97,7 @@ class Training:
         return write_checkpoint(self.folder / FOLDER, agent.num_timesteps, meta, tensors, held)
 
     def resume(self) -> None:
-        """Restore the newest checkpoint of the folder; new episodes start, with seeds not used
-        before.
+        """Restore the newest checkpoint; new episodes start, with seeds not used before.
 
         Raises:
             ModelFileError: no complete checkpoint, or one that does not fit.
@@ -123,9 +120,7 @@ class Training:
 
 
 def check_settings(folder: Path, config: RLConfig, seed: int) -> dict[str, Any]:
-    """Return the metadata of the newest checkpoint of `folder`; raise as `Training.resume` does,
-    before any change.
-    """
+    """Return the newest checkpoint's metadata, or raise what `Training.resume` would."""
     found = find_checkpoint(folder)
     meta = read_meta(found)
     now = {**asdict(config), "env_settings": config.env_settings}

@@ -87,9 +87,7 @@ class RLConfig:
             )
 
     def resolved(self) -> RLConfig:
-        """Return the settings with every default filled in, and smaller counts if `quick`; the
-        protocol is the same.
-        """
+        """Return the settings with every default filled in, and smaller counts if `quick`."""
         force = self.action == "initial_force"
         full = replace(
             self,

@@ -1,6 +1,4 @@
-"""Scores of a policy on held-out episodes, as rows; the same for agents and for the policies they
-are compared with.
-"""
+"""Scores of a policy on held-out episodes, as rows."""
 
 from __future__ import annotations
 
@@ -22,8 +20,7 @@ def score(
     seeds: range,
     initial_force: str | InitialForceRule | None = None,
 ) -> list[dict[str, Any]]:
-    """Play the episodes of some seeds with deterministic actions, in one environment, and return
-    their rows.
+    """Play the episodes of some seeds with deterministic actions and return their rows.
 
     `initial_force` replaces the start rule of the settings.
 
@@ -52,9 +49,7 @@ def score(
 
 
 def outcome(steps: list[EpisodeStep], solver: bool = True) -> dict[str, Any]:
-    """Return the outcome of an episode: its return, whether the object was held to the end within
-    the task's limits, and means.
-    """
+    """Return return, hold and means of an episode; held: to the end, within the task's limits."""
     infos = [step.info for step in steps]
     held = bool(infos[-1]["is_success"])
     return {

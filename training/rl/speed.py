@@ -1,6 +1,4 @@
-"""Measurement of steps per second of environments alone, with an agent that acts, and with one that
-trains.
-"""
+"""Steps per second of environments alone, with an acting agent, and with a training one."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Training of agents (`grasp rl`) with checkpoints that a later call continues from, and scores
-beside policies that learn nothing.
-"""
+"""Training of agents (`grasp rl`) with checkpoints, and scores beside other policies."""
 
 from __future__ import annotations
 
@@ -36,18 +34,14 @@ from training.rl.score import score
 from training.rl.speed import speeds
 
 BASELINES = ("zero", "learned", "previous")
-"""Policies that agents are compared with: the zero policy (the paper's start), the shipped learned
-start, the previous solution."""
+"""Policies to compare with: the paper's start, the shipped model, the previous solution."""
 STOP = ".stop"
-"""File in a run's folder that makes the seeds in training save and end, since worker processes
-ignore interrupts."""
+"""File in a run's folder that makes trainings save and end; workers ignore interrupts."""
 
 
 @dataclass(frozen=True)
 class Shard:
-    """Agent to train and score, or with no `seed` only to score, or with no `folder` one of
-    `BASELINES`.
-    """
+    """One job: train and score (seed, folder), score only (folder), or a baseline (neither)."""
 
     name: str
     config: RLConfig
@@ -154,8 +148,7 @@ def train(config: RLConfig, out: Path, resume: bool = False, on: str = "") -> Ru
 
 
 def compare(folders: Sequence[Path], out: Path, config: RLConfig, on: str = "") -> Run:
-    """Score the agents of all seeds of several runs, and measure how fast they act and train, alone
-    in this process.
+    """Score the agents of several runs, and measure how fast they act and train in this process.
 
     The episodes are counted by `config`. For `on`, where agents are scored, see `map_shards`;
     empty: processes.
@@ -281,9 +274,7 @@ def train_seed(
 
 
 class _Watch(BaseCallback):
-    """Callback between updates: it scores the agent, saves checkpoints, and ends after an
-    interrupt.
-    """
+    """Callback between updates: it scores, saves checkpoints, and ends after an interrupt."""
 
     def __init__(
         self, training: Training, interrupted: Callable[[], bool], bar: Progress | None

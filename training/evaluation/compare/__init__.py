@@ -1,3 +1,1 @@
-"""Comparisons of starts, controllers, hands and engines: each is a function of settings that
-returns rows.
-"""
+"""Comparisons of starts, controllers, hands and engines, as functions that return rows."""

@@ -23,8 +23,7 @@ MAGNITUDES = (1e-3, 1e3)
 """Range of |(force, moment / 0.05 m)| of the set "six_decades" [N], log-uniform."""
 DIRECTION_SIZES = (0.5, 1.0, 2.0)
 TRAINED, _LEVELS = (0.25, 0.6), 20
-"""Range of friction on which the model of the fixed grasp is trained, and number of frictions
-compared in it."""
+"""Friction range in which the shipped model is trained, and number of frictions compared in it."""
 FRICTIONS = (0.2, 0.7, 0.8)
 """Frictions outside that range."""
 DISPLACEMENT = 0.010
@@ -73,9 +72,7 @@ def make_cases(name: str, count: int, seed: int) -> list[Case]:
 
 
 def path_cases(grasp: Grasp, path: Array, group: int = 0, event: str = "") -> list[Case]:
-    """Return the cases of a path of wrenches (n, 6) on one grasp, each with its predecessor; the
-    first is cold.
-    """
+    """Return the cases of a path of wrenches (n, 6), each with its predecessor."""
     return [
         Case(grasp, load, (grasp, path[k - 1]) if k else None, group, event)
         for k, load in enumerate(path)
@@ -83,8 +80,7 @@ def path_cases(grasp: Grasp, path: Array, group: int = 0, event: str = "") -> li
 
 
 def directions() -> list[tuple[str, Array]]:
-    """Return 18 named wrenches (6,) of 1 N or 0.05 N m: both directions of every axis, and six
-    pairs of axes.
+    """Return 18 named wrenches (6,) of 1 N or 0.05 N m: +- each axis, and six pairs of axes.
 
     Example:
         >>> [name for name, _ in directions()][::5]
@@ -102,8 +98,7 @@ def directions() -> list[tuple[str, Array]]:
 
 
 def trajectory(rng: np.random.Generator, samples: int, rate: float = 100.0) -> Array:
-    """Return wrenches (samples, 6) inside the standard ball; each component is the sum of two sines
-    of 0.2 to 2 Hz.
+    """Return wrenches (samples, 6) in the standard ball, each component a sum of two sines.
 
     Args:
         rng: draws frequencies, phases and amplitudes.
@@ -189,9 +184,7 @@ def _frictions(rng: np.random.Generator, count: int) -> list[Case]:
 
 
 def _ball_frictions(rng: np.random.Generator, count: int) -> list[Case]:
-    """Make cold starts on the ball, cycling through frictions that are each drawn from one part of
-    the trained range.
-    """
+    """Make cold starts on the ball; their frictions are stratified over the trained range."""
     low, high = TRAINED
     drawn = low + (high - low) * (np.arange(_LEVELS) + rng.random(_LEVELS)) / _LEVELS
     grasps = [presets.paper_cuboid().with_friction(mu) for mu in drawn.tolist()]

@@ -1,6 +1,4 @@
-"""Comparison of starts (`grasp evaluate`): rows of every start, set of cases and method, of
-roll-outs of the hand, and times.
-"""
+"""Comparison of starts (`grasp evaluate`): solves, roll-outs of the hand, and times, as rows."""
 
 from __future__ import annotations
 
@@ -40,8 +38,7 @@ HELD_WITH = {
     "linear_combination": "linear_combination",
     "previous_tangent": "previous",
 }
-"""Starts of the roll-outs, besides the shipped model and a user's, and their names in the
-environment."""
+"""Starts of the roll-outs, besides the model and a user's, and their names in the environment."""
 _QUICK = {"wrenches": 50, "timed": 50, "repeats": 3, "episodes": 1}
 
 
@@ -74,9 +71,7 @@ class StartsConfig:
 
 @dataclass(frozen=True)
 class Shard:
-    """Part of the comparison for a worker: a set of cases, or the roll-outs of a scenario from one
-    start.
-    """
+    """Work for one process: a set of cases, or the roll-outs of a scenario from one start."""
 
     name: str
     config: StartsConfig
@@ -122,9 +117,7 @@ def run(
 
 
 def _shipped() -> pd.DataFrame:
-    """Return one row about the shipped model: processor time of its training, and size of its
-    files.
-    """
+    """Return a row with the processor time of the shipped model's training, and its size."""
     stem = PRETRAINED / "four_finger"
     card = StartContext(Objective()).model.checkpoint.card
     size = sum(path.stat().st_size for path in stem.parent.glob(f"{stem.name}.*"))
@@ -178,8 +171,7 @@ def _looked_at(
 
 
 def time_calls(name: str, config: StartsConfig, given: Given, objective: Objective) -> pd.DataFrame:
-    """Measure the microseconds of every start on wrenches of a set: the shortest of the repeats,
-    the starts taking turns.
+    """Time every start on wrenches of a set [us]: the best of the repeats; the starts take turns.
 
     All calls of one start on one grasp are made in a row, so code and data are in the cache as in a
     control loop that does nothing else. The previous solution is that of the wrench before, as in a
@@ -264,9 +256,7 @@ def time_calls(name: str, config: StartsConfig, given: Given, objective: Objecti
 
 
 def _time(call: Callable[[int], object], best: np.ndarray, block: list[int], counted: bool) -> None:
-    """Warm up on the problems of a block, then, if `counted`, time one call on each; `best` (n,)
-    keeps the shortest time [us].
-    """
+    """Warm up on a block of problems; if `counted`, keep the shortest times [us] in `best` (n,)."""
     for k in range(WARM_UP):
         with suppress(Exception):  # a user's rule may raise; the trials count its errors
             call(block[k % len(block)])

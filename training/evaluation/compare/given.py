@@ -87,9 +87,7 @@ def _check_names(names: list[str]) -> None:
 
 
 def model_path(what: str) -> Path | None:
-    """Return the path of the saved model that a text names, of a folder its only one; None if it
-    names no model.
-    """
+    """Return the path of a saved model, in a folder of its only one; None if `what` is no model."""
     if os.path.isdir(what):
         stems = sorted(path.with_suffix("") for path in Path(what).glob("*.safetensors"))
         if len(stems) != 1:
@@ -160,9 +158,7 @@ def _read(text: str) -> Any:
 
 
 def _imported(place: str, context: str) -> ModuleType:
-    """Import a module of the working directory, an installed module, or a file, which is then
-    pickled by value.
-    """
+    """Import an installed module, one of the working directory, or a file (pickled by value)."""
     # as with `python -m`; at the end, where it hides no other module
     if os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())

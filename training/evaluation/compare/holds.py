@@ -1,5 +1,4 @@
-"""Hold rates: episodes of the simulated hand under scenarios, controllers, hands, engines and
-starts, one row each.
+"""Hold rates: episodes of the simulated hand, one row each.
 
 An episode depends on its scenario and seed alone, so everything compared uses the same seeds.
 """
@@ -43,15 +42,13 @@ from training.evaluation.results.shards import map_shards
 from training.evaluation.results.table import pd, table
 
 NO_START, NOT_PLACED = "no_start", "not_placed"
-"""Failures of an episode whose grasp did not close or settle, and of one for which no pose of hand
-or fingers was found."""
+"""Failures: the grasp did not close or settle; no pose of hand or fingers was found."""
 QUICK_EPISODES = {"env": 4, "hands": 2, "objects": 2, "transfer": 2}
 _CHUNK = 4
 """Number of seeds in a shard."""
 _REDRAWS = 100
 _BEFORE, _IN_PLACE = 25, 1e-3
-"""Last agent steps of an episode, and drift [m], in which a cut torque counts as the cause of the
-loss."""
+"""Last agent steps, and drift [m], in which a cut torque counts as the cause of the loss."""
 _TIMED, _ROUNDS = 100, 3
 """Number of agent steps whose rate is measured, and of repetitions."""
 Shard = tuple[Scenario, Sequence[int]]
@@ -177,9 +174,7 @@ def work(shard: Shard) -> pd.DataFrame:
 def hold_of_start(
     scenario: str, start: str, rule: str | InitialForceRule, episodes: int, seed: int, steps: int
 ) -> Iterator[dict[str, Any]]:
-    """Yield the rows of the roll-outs of a scenario from a start: one episode if it is
-    deterministic, else one for each seed.
-    """
+    """Yield the rows of a scenario's roll-outs from a start, one if it is deterministic."""
     settings = {**HOLDS_OF_STARTS[scenario], "duration": steps / 50}
     for k in range(episodes if scenario in RANDOM_STARTS else 1):
         keys = {
@@ -224,8 +219,7 @@ def trial(
 
 
 def draw_object(seed: int, config: EnvConfig) -> tuple[ObjectDescription, np.ndarray, int]:
-    """Draw the random object of a seed: shape, size, mass and friction in the ranges of
-    `randomize`, within reach of the hand.
+    """Draw the random object of a seed within reach of the hand, in the ranges of `randomize`.
 
     Returns the object, its contact points (N, 3) [m] in the object frame, and the number of objects
     drawn before it without a grasp. None of these depends on the controller or the engine. A hand
@@ -325,9 +319,7 @@ def _print_repairs(read: Callable[[], Any]) -> None:
 
 
 def _speeds(plan: Sequence[Scenario]) -> dict[str, float]:
-    """Measure agent steps per second of every hand in every engine, alone in this process: the best
-    round of its first scenario.
-    """
+    """Measure agent steps per second of every hand in every engine: the best round."""
     first: dict[str, dict[str, Any]] = {}
     for scenario in plan:
         for engine in scenario.engines:

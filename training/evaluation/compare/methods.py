@@ -19,9 +19,7 @@ With this step rule the flow takes the fewest iterations and the least time, bot
 def optimizer(
     grasp: Grasp, method: str, objective: Objective, tolerance: float, **options: Any
 ) -> ForceOptimizer:
-    """Return an optimizer for a method and Phi, to a relative gap; `options` are further options of
-    `ForceOptimizer`.
-    """
+    """Return an optimizer for a method and Phi, to a relative gap."""
     return ForceOptimizer(
         grasp, method=method, tolerance=tolerance, **METHODS[method], **vars(objective), **options
     )

@@ -1,6 +1,4 @@
-"""Cases recorded from the simulated hand: the problems its solver gets, step by step, and changes
-of contact in them.
-"""
+"""Cases recorded from the simulated hand, step by step, and changes of contact in them."""
 
 from __future__ import annotations
 
@@ -41,8 +39,7 @@ def record(
     steps: int = STEPS,
     **settings: Any,
 ) -> list[list[Problem]]:
-    """Record the problems of `episodes` episodes in all, of at most `steps` steps each, in order;
-    the hands take turns.
+    """Record the problems of episodes of at most `steps` steps; the hands take turns.
 
     Without further `settings` of the environment the objects are random.
     """
@@ -115,8 +112,7 @@ They return fewer cases than requested only if the roll-outs have fewer.
 
 
 def changes_of(rng: np.random.Generator, old: Problem, now: Problem, group: int) -> list[Case]:
-    """Return the cases of a finger that is lost, one that lands and one that slips, between two
-    recorded steps.
+    """Return cases between two steps in which a finger is lost, lands or slips.
 
     The finger that is lost is one without which the others still have force closure; hands with
     three fingers only slip.
@@ -140,9 +136,7 @@ def changes_of(rng: np.random.Generator, old: Problem, now: Problem, group: int)
 
 
 def without(grasp: Grasp, finger: int) -> Grasp | None:
-    """Return the grasp without one contact; None if the rest does not close with the margin of
-    `EVALUATION`.
-    """
+    """Return the grasp without one contact; None if the rest fails `EVALUATION.closes`."""
     keep = np.arange(grasp.n_contacts) != finger
     if keep.sum() < 3:
         return None

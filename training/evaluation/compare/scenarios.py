@@ -1,6 +1,4 @@
-"""Scenarios of the hold rates, as data: controllers, sensor errors, hands, objects, disturbances,
-engines, starts.
-"""
+"""Scenarios of the hold rates, as data."""
 
 from __future__ import annotations
 
@@ -128,8 +126,7 @@ HOLDS_OF_STARTS: dict[str, dict[str, Any]] = {
     "unknown": {"disturbance": "random", "sensors.wrench": "none"},
     "impulses": {"disturbance": "impulses", "randomize": ("shape", "size", "mass", "friction")},
 }
-"""Scenarios of the four-finger hand in which starts are compared; their rows have the case
-hold_<name>."""
+"""Scenarios of the four-finger hand in which starts are compared, as cases hold_<name>."""
 RANDOM_STARTS = ("random", "late", "unknown", "impulses")
 """Those of them that are random."""
 
@@ -181,10 +178,9 @@ CONTROLLER_LABELS = {
 
 
 def controllers_plan(episodes: int, quick: bool = False) -> list[Scenario]:
-    """Plan the scenarios of all controllers of the four-finger hand: `episodes` of the main
-    scenarios, fewer of the others.
+    """Plan the four-finger hand's scenarios with all controllers.
 
-    Scenarios with errors have at most 100 episodes (60 for the varied settings of the baselines).
+    The main scenarios have `episodes`. Those with errors have at most 100 episodes (60 for the varied settings of the baselines).
     The six directions have an eighth of `episodes` for controllers other than the paper's.
     """
     robust, long = (episodes, episodes) if quick else (min(episodes, 100), max(1, episodes // 8))
@@ -313,8 +309,9 @@ def mesh_settings(text: str) -> tuple[str, dict[str, Any]]:
 def hands_plan(
     hands: Iterable[str], engines: Sequence[str], episodes: int, objects: Sequence[str] = ()
 ) -> list[Scenario]:
-    """Plan all combinations of hands (names or files), objects (mesh files, see `mesh_settings`, or
-    those of `OBJECTS`) and pushes.
+    """Plan all combinations of hands, objects and pushes.
+
+    Hands are names or files; objects are mesh files (see `mesh_settings`), or else `OBJECTS`.
 
     Each random scenario has `episodes`, a deterministic one has one.
     """

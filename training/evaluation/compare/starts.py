@@ -1,6 +1,4 @@
-"""Starts of the comparison, one entry of `STARTS` each: its label, its looks in charts and its
-maker.
-"""
+"""Starts of the comparison: label, colour and maker of each."""
 
 from __future__ import annotations
 
@@ -32,21 +30,17 @@ from policies import LearnedInitialForce
 from training.evaluation.compare.cases import HELD_OUT, scaled
 
 Start = Callable[[Grasp, Wrench, "ContactForces | None"], ContactForces]
-"""Function (grasp, wrench, previous optimum in the grasp's contact frames or None) -> force (N, 3)
-[N]."""
+"""Function (grasp, wrench, previous optimum in contact frames or None) -> force (N, 3) [N]."""
 
 BASIS = "linear_combination"
 """Start of the paper, with which the others are compared."""
 STORED = 10_000
 STORED_RANGE = (0.1, 20.0)
-"""Range of magnitudes of the stored solutions [N], the same as in the training of the shipped
-model."""
+"""Range of magnitudes of the stored solutions [N], as in the training of the shipped model."""
 KEPT = 0.95
-"""Share of the way from the 12-basis to the cones that is kept of a network's force outside them.
-"""
+"""Share of the way to the cones that is kept of a network's force outside them."""
 NEAR_PLACE, NEAR_NORMAL = 0.02, 0.95
-"""Largest distance [m], and least cosine between normals, for starts that apply near the fixed
-grasp only."""
+"""Largest distance [m], and least cosine between normals, of contacts near the fixed grasp."""
 _FIXED = presets.paper_cuboid()
 
 
@@ -76,9 +70,7 @@ class ComparedStart:
     def of(
         cls, rule: InitialForceRule, timed: str | InitialForceRule | None = None
     ) -> ComparedStart:
-        """Make the start of a rule that ignores the previous solution; `timed` replaces the rule in
-        timings.
-        """
+        """Make the start of a rule without memory; `timed` replaces the rule in timings."""
         return cls(
             lambda grasp, load, before: rule(grasp, load),
             {"initial": timed or rule},
@@ -101,9 +93,7 @@ class StartContext:
 
     @cached_property
     def stored(self) -> tuple[Array, KDTree]:
-        """Optimal forces (n, N, 3) of the fixed grasp for `STORED` wrenches, and the tree of these
-        wrenches, moments over 0.05 m.
-        """
+        """Optimal forces (n, N, 3) of the fixed grasp, and a tree of their wrenches."""
         loads = wrench.sample_magnitudes(
             np.random.default_rng([HELD_OUT, 1 << 20]), STORED, *STORED_RANGE
         )
@@ -128,9 +118,7 @@ class StartContext:
         return ComparedStart.of(rule, name)
 
     def previous(self, correction: Correction) -> ComparedStart:
-        """Make the previous solution, corrected to the new balance as optimizers do ("tangent") or
-        by the least change.
-        """
+        """Make the previous solution, corrected as optimizers do ("tangent") or least."""
 
         def start(grasp: Grasp, load: Wrench, before: ContactForces | None) -> ContactForces:
             if before is None:
@@ -164,8 +152,7 @@ class StartContext:
         return ComparedStart.of(rule)
 
     def stepped(self, rule: InitialForceRule | str, steps: int) -> ComparedStart:
-        """Make another start followed by a few Newton steps, as a control for starts that take such
-        steps inside.
+        """Make another start followed by a few Newton steps, as a control for learned starts.
 
         One such step equals the tangent correction of a previous optimum, so the other starts get
         the same.
@@ -190,9 +177,7 @@ class StartContext:
         return rule
 
     def remembering(self) -> ComparedStart:
-        """Make the shipped model that starts from the previous solution instead if that has less
-        Phi.
-        """
+        """Make the shipped model that starts from the previous solution if that has less Phi."""
         return self.rule(type(self.model)(self.model.checkpoint, self.model.objective, True))
 
     def rule(self, rule: InitialForceRule) -> ComparedStart:
@@ -363,8 +348,7 @@ GIVEN_COLOURS = (
 
 
 def start_info(key: str) -> StartEntry:
-    """Return the description of a start; that of a user's start is made from its name, that of a
-    rule from its label.
+    """Return the description of a start; that of a user's start is made from its name.
 
     Example:
         >>> start_info("lagrange").label, start_info("my_rule").label, start_info("my_rule").main
@@ -391,9 +375,7 @@ def as_solution(grasp: Grasp, force: ContactForces) -> ForceSolution:
 
 
 class NetworkAlone:
-    """Start rule: the force of a network without any step. If it lies outside the cones, it is
-    moved towards the 12-basis.
-    """
+    """Start rule: a network's force without any step, moved towards the 12-basis into the cones."""
 
     def __init__(self, model: LearnedInitialForce) -> None:
         self.model = model

@@ -34,8 +34,7 @@ TOLERANCE = 1e-4
 COARSE, FINE = 1e-2, 1e-6
 """Relative gaps of Phi to which iterations are counted as well."""
 END_GAP = {"reduced_flow": 1e-6, "newton": 1e-8}
-"""Relative gap of Phi at which each method is stopped; at most `FINE`, so that a run passes all
-counted gaps."""
+"""Relative gap of Phi at which each method is stopped, at most `FINE`."""
 ITERATION_LIMIT = 5000
 """Iteration limit of a run; a gap that is not reached counts as one iteration more."""
 OPTIMUM_GAP = 1e-10
@@ -231,9 +230,7 @@ def attempt(
 
 
 def failure_reason(error: Exception) -> str:
-    """Return why there is no force: the exception's class and message, cut at `REASON_LENGTH`, or
-    "no feasible start".
-    """
+    """Return why there is no force, cut at `REASON_LENGTH`."""
     cause = error.__cause__ if isinstance(error.__cause__, Exception) else error
     if isinstance(cause, InfeasibleStartError):
         return "no feasible start"
@@ -253,9 +250,7 @@ def _paper_start(
 def _slope(
     previous_start: tuple[Case, ContactForces] | None, case: Case, force: ContactForces
 ) -> float:
-    """Return |change of start| / |change of wrench| relative to the preceding case (moments / 0.05
-    m); NaN if there is none.
-    """
+    """Return |change of start| / |change of wrench|, moments / 0.05 m; NaN if cold."""
     if previous_start is None or case.before is None or previous_start[0].grasp is not case.grasp:
         return float("nan")
     preceding, preceding_force = previous_start

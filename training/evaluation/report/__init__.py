@@ -1,3 +1,1 @@
-"""Reports: one module and one template turn the table of any run into a page; each kind of run
-describes its content as data.
-"""
+"""Reports: each kind of run describes its page as data; one template shows it."""

@@ -19,90 +19,62 @@ INTRO = (
     "All of them play the same seeds, with the same objects and disturbances; an episode that cannot start counts as not held. "
     "The words are defined at the end of this page, the columns of the table in run.json."
 )
-WORDS = (
-    (
-        "held",
-        "The object was not dropped and did not move by more than the task allows, to the end of the episode. No fingertip slid on it by more than 3 mm or penetrated it by more than 0.5 mm, and links other than fingertips never pushed it with more than 10 % of the load.",
-    ),
-    (
-        "drift",
-        "Largest distance of the object in an episode from where it was grasped; only for episodes in which it was held.",
-    ),
-    ("squeeze", "Sum of the normal forces."),
-    (
-        "friction margin",
-        "Share of the friction that the solver may use: a reserve against friction estimated too high.",
-    ),
-    (
-        "chosen",
-        "Among the values of a varied setting, the least squeeze that holds 99 % of the episodes; if none does, the value that holds most.",
-    ),
-    ("interval", "95 % Wilson interval of a rate."),
-)
+WORDS = {
+    "held": "The object was not dropped and did not move by more than the task allows, to the end of the episode. No fingertip slid on it by more than 3 mm or penetrated it by more than 0.5 mm, and links other than fingertips never pushed it with more than 10 % of the load.",
+    "drift": "Largest distance of the object in an episode from where it was grasped; only for episodes in which it was held.",
+    "squeeze": "Sum of the normal forces.",
+    "friction margin": "Share of the friction that the solver may use: a reserve against friction estimated too high.",
+    "chosen": "Among the values of a varied setting, the least squeeze that holds 99 % of the episodes; if none does, the value that holds most.",
+    "interval": "95 % Wilson interval of a rate.",
+}
 TARGET_RATE = 0.99
 _PAPER = "controller == 'paper'"
 CLAIMS = {
     "env": (
-        Claim(
+        Claim.of(
             "the paper's pipeline holds random objects against a random wrench for 4 s",
             f"case == 'objects' and {_PAPER}",
-            "held_mean",
-            ">=",
-            TARGET_RATE,
+            f"held_mean >= {TARGET_RATE}",
         ),
-        Claim(
+        Claim.of(
             "the paper's pipeline holds random objects in six directions",
             f"case == 'six_directions' and {_PAPER}",
-            "held_mean",
-            ">=",
-            TARGET_RATE,
+            f"held_mean >= {TARGET_RATE}",
         ),
-        Claim(
+        Claim.of(
             "random objects that were held: mean of the largest drift",
             f"case == 'objects' and {_PAPER}",
-            "drift_mean",
-            "<",
-            1,
-            unit="mm",
+            "drift_mean < 1 mm",
         ),
-        Claim(
+        Claim.of(
             "W_ext(t) x 0.25 on the 0.1 m cuboid is held",
             f"case == 'path_0.25' and {_PAPER}",
-            "held_mean",
-            ">=",
-            1,
+            "held_mean >= 1",
         ),
-        Claim(
+        Claim.of(
             "W_ext(t) x 0.25 on the 0.1 m cuboid: drift",
             f"case == 'path_0.25' and {_PAPER}",
-            "drift_max",
-            "<",
-            0.1,
-            unit="mm",
+            "drift_max < 0.1 mm",
         ),
         *(
-            Claim(
+            Claim.of(
                 f"{LABELS[case]}: rate of the paper's pipeline minus that of {CONTROLLER_LABELS[key]}, each at its chosen setting",
                 f"case == '{case}' and {_PAPER} and chosen",
-                "held_mean",
-                ">=",
-                0,
+                "held_mean >= 0",
                 f"case == '{case}' and controller == '{key}' and chosen",
-                True,
+                difference=True,
             )
             for case in CURVES
             for key in BASELINES
         ),
     ),
     "transfer": tuple(
-        Claim(
+        Claim.of(
             f"MuJoCo holds what Bullet holds: rate minus rate, {LABELS[case]}",
             f"case == '{case}' and engine == 'mujoco'",
-            "held_mean",
-            "within",
-            0.05,
+            "held_mean within 0.05",
             f"case == '{case}' and engine == 'bullet'",
-            True,
+            difference=True,
         )
         for case in ("objects", "estimated", "weak")
     ),
@@ -149,62 +121,56 @@ def names_of(row: dict[str, Any]) -> str:
 
 
 def arranged(means: Rows) -> tuple[Rows, str, list[str]]:
-    """Return the rows with hold rates (of varied settings the chosen ones), the key of a grid's
-    columns, and the keys of its rows.
+    """Return the rows to show, the key of a grid's columns, and the keys of its rows.
+
+    Of a varied setting only the chosen row is shown.
     """
-    found: Rows = (
+    rows: Rows = (
         means[means["held_mean"].notna()] if "held_mean" in means.columns else means.iloc[:0]
     )
-    if "chosen" in found.columns:
-        found = found[found["chosen"] | ~found["case"].isin(list(CURVES))]
+    if "chosen" in rows.columns:
+        rows = rows[rows["chosen"] | ~rows["case"].isin(list(CURVES))]
     varied = [
         key
         for key in ("controller", "start", "engine", "hand", "object")
-        if key in found.columns and found[key].nunique() > 1
+        if key in rows.columns and rows[key].nunique() > 1
     ]
     across = next((key for key in varied if key != "object"), "engine")
-    return (
-        found,
-        across,
-        [key for key in ("hand", "object") if key in varied and key != across] + ["case"],
-    )
+    down = [key for key in ("hand", "object") if key in varied and key != across]
+    return rows, across, [*down, "case"]
 
 
 def grid(rows: Rows, means: Rows) -> Rows:
-    """Make a grid of episodes held and squeeze: rows for scenarios (and hands, if several), columns
-    for controllers, starts or engines.
-    """
-    found, across, down = arranged(means)
-    if found.empty:
-        return found
-    found = found.assign(text=[held_cell(row) for row in found.to_dict("records")])
-    made = found.pivot_table(index=down, columns=across, values="text", aggfunc="first", sort=False)
-    made = made.reindex(columns=found[across].unique()).fillna("–")
-    made.columns = [CONTROLLER_LABELS.get(name, str(name)) for name in made.columns]
-    made = made.reset_index()
-    return made.assign(case=[LABELS[case] for case in made["case"]]).rename(
-        columns={"case": "held"}
-    )
+    """Make a grid of episodes held and squeeze, by scenario and controller, start or engine."""
+    held, across, down = arranged(means)
+    if held.empty:
+        return held
+    held = held.assign(text=[held_cell(row) for row in held.to_dict("records")])
+    table = held.pivot_table(index=down, columns=across, values="text", aggfunc="first", sort=False)
+    table = table.reindex(columns=held[across].unique()).fillna("–")
+    table.columns = [CONTROLLER_LABELS.get(name, str(name)) for name in table.columns]
+    table = table.reset_index().rename(columns={"case": "held"})
+    return table.assign(held=table["held"].map(LABELS))
 
 
 def rates_figure(rows: Rows, means: Rows) -> Figure | None:
     """Draw hold rates in per cent as a heat map, arranged as `grid`."""
-    found, across, down = arranged(means)
-    if found.empty:
+    held, across, down = arranged(means)
+    if held.empty:
         return None
-    made = found.pivot(index=down, columns=across, values="held_mean").reindex(
-        columns=found[across].unique()
+    table = held.pivot(index=down, columns=across, values="held_mean").reindex(
+        columns=held[across].unique()
     )
-    figure, panel = axes(1.3 + 0.3 * len(made))
+    figure, panel = axes(1.3 + 0.3 * len(table))
     panel.grid(visible=False)
-    rates = made.to_numpy(np.float64)
+    rates = table.to_numpy(np.float64)
     panel.imshow(rates, cmap="RdYlGn", vmin=0.0, vmax=1.0, aspect="auto", alpha=0.75)
     for (place, other), rate in np.ndenumerate(rates):
         if np.isfinite(rate):
             panel.text(other, place, f"{100 * rate:.0f}", ha="center", va="center", fontsize=8)
-    names = [", ".join(name) if isinstance(name, tuple) else name for name in made.index]
+    names = [", ".join(name) if isinstance(name, tuple) else name for name in table.index]
     panel.set_xticks(
-        range(len(made.columns)), list(made.columns), rotation=40, ha="right", fontsize=8
+        range(len(table.columns)), list(table.columns), rotation=40, ha="right", fontsize=8
     )
     panel.set_yticks(
         range(len(names)),
@@ -254,7 +220,7 @@ FIGURES = (
 
 def rates(rows: Rows, means: Rows) -> Rows:
     """Make a table of rates with intervals, drift and squeeze; the lowest rate first."""
-    made = [
+    table = [
         {
             "scenario": LABELS.get(row["case"], row["case"]),
             "with": names_of(row),
@@ -275,34 +241,25 @@ def rates(rows: Rows, means: Rows) -> Rows:
         }
         for row in means.sort_values("held_mean", kind="stable").to_dict("records")
     ]
-    return pd.DataFrame(made)
+    return pd.DataFrame(table)
 
 
 def failures(rows: Rows, means: Rows) -> Rows:
     """Count the causes of episodes that were not held, each with its first seed."""
-    found = chosen(rows, "held == False")
-    if found.empty:
-        return found
-    names = (
-        "case",
-        "hand",
-        "object",
-        "engine",
-        "controller",
-        "friction_margin",
-        "squeeze",
-        "failure",
-    )
-    keys = [key for key in names if key in found.columns]
-    found = found.assign(detail=found.get("detail", pd.Series("", found.index)))
-    columns = {"count": ("seed", "size"), "seed": ("seed", "first"), "detail": ("detail", "first")}
-    made = found.groupby(keys, sort=False, dropna=False).agg(**columns).reset_index()
-    made["detail"] = made["detail"].fillna("").str.slice(0, 160)
-    return (
-        made.sort_values("count", ascending=False)
-        .dropna(axis=1, how="all")
-        .rename(columns={"seed": "first seed"})
-    )
+    lost = chosen(rows, "held == False")
+    if lost.empty:
+        return lost
+    names = ("case", "hand", "object", "engine", "controller", "friction_margin", "squeeze")
+    keys = [key for key in (*names, "failure") if key in lost.columns]
+    lost = lost.assign(detail=lost.get("detail", pd.Series("", lost.index)))
+    columns = {
+        "count": ("seed", "size"),
+        "first seed": ("seed", "first"),
+        "detail": ("detail", "first"),
+    }
+    table = lost.groupby(keys, sort=False, dropna=False).agg(**columns).reset_index()
+    table["detail"] = table["detail"].fillna("").str.slice(0, 160)
+    return table.sort_values("count", ascending=False).dropna(axis=1, how="all")
 
 
 TABLES = (

@@ -15,7 +15,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescap
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from training.evaluation.results.claims import VERDICTS, Claim, Judged, judge
+from training.evaluation.results.claims import VERDICTS, Claim, Verdict, judge
 from training.evaluation.results.run import Run, understood
 from training.evaluation.results.table import Rows, described, pd, summary, write_summary
 from training.evaluation.results.words import number, small
@@ -29,11 +29,9 @@ KINDS = {
     "rl": "rl",
     "reproduce": "reproduce",
 }
-"""Module of this package that describes the page of a kind of run; other kinds show their summary.
-"""
+"""Module that describes the page of a kind of run; other kinds show their summary."""
 WIDTH = 4.6
-"""Width of a figure [in]: 331 points, so that its text is 10 pixels high on a phone 360 pixels
-wide."""
+"""Width of a figure [in]; its text is 10 pixels high on a phone 360 pixels wide."""
 INK, LINE = "#101010", "#d5d8dd"
 STYLE: Any = {
     "font.size": 10,
@@ -60,19 +58,18 @@ Make = Callable[[Rows, Rows], Rows]
 """Function (rows, summary) -> table of text and numbers; empty if the run has nothing to show."""
 
 
-def write(run: Run) -> tuple[Path, list[Judged]]:
-    """Write report.html and summary.csv of a finished run; return the page's path and the judged
-    claims. Nothing is solved.
+def write(run: Run) -> tuple[Path, list[Verdict]]:
+    """Write report.html and summary.csv of a finished run; return the page's path and the verdicts.
 
     Raises:
         InvalidInputError: its files are missing or were changed.
     """
     with understood(run.folder, "repeat the command that made it"):
         rows, about = run.load()
-        shown = module_of(about)
+        page_module = module_of(about)
         means = summary(rows)
         write_summary(run.path("summary.csv"), means)
-        derived = getattr(shown, "derive", lambda means: means)(means)
+        derived = getattr(page_module, "derive", lambda means: means)(means)
         claims = judge(claims_of(about), derived)
         figures = [
             (
@@ -81,29 +78,29 @@ def write(run: Run) -> tuple[Path, list[Judged]]:
                 base64.b64encode(svg(figure).encode()).decode("ascii"),
                 f"{title}. {caption}",
             )
-            for title, caption, draw in getattr(shown, "FIGURES", ())
+            for title, caption, draw in getattr(page_module, "FIGURES", ())
             if (figure := draw(rows, derived)) is not None
         ]
         tables = [
             (title, note, make(rows, derived))
-            for title, note, make in getattr(shown, "TABLES", [_summary_table])
+            for title, note, make in getattr(page_module, "TABLES", [_SUMMARY_TABLE])
         ]
+        names = [*rows.columns]
+        keys = [key for key in ("case", "start", "method", "hand", "controller") if key in names]
+        value = next((name for name in ("iterations", "held") if name in names), names[-1])
         page = render(
-            title=f"{getattr(shown, 'TITLE', 'Results')}: {run.folder.name}",
-            intro=getattr(shown, "INTRO", _INTRO),
+            title=f"{getattr(page_module, 'TITLE', 'Results')}: {run.folder.name}",
+            intro=getattr(page_module, "INTRO", _INTRO),
             quick=bool(about.get("quick")),
             figures=figures,
-            tables=[(title, note, made) for title, note, made in tables if len(made)],
+            tables=[table for table in tables if len(table[2])],
             claims=claims,
-            words=getattr(
-                shown, "WORDS", [(name, text) for name, text in described(rows.columns).items()]
-            ),
+            words=getattr(page_module, "WORDS", described(names)).items(),
             facts=facts_of(about),
             load=(
                 "import pandas",
                 'rows = pandas.read_csv("rows.csv")  # run.json documents the columns',
-                f"rows.groupby({[name for name in ('case', 'start', 'method', 'hand', 'controller') if name in rows.columns]})"
-                f".{next((name for name in ('iterations', 'held') if name in rows.columns), rows.columns[-1])}.describe()",
+                f"rows.groupby({keys}).{value}.describe()",
             ),
         )
         return run.write_text("report.html", page), claims
@@ -116,27 +113,26 @@ def module_of(about: dict[str, Any]) -> ModuleType | None:
 
 
 def claims_of(about: dict[str, Any]) -> list[Claim]:
-    """Return the claims of this kind of run, those about each start of a user, and those saved with
-    the run.
-    """
-    shown = module_of(about)
-    own = [make(name) for name in about.get("given", {}) for make in getattr(shown, "GIVEN", ())]
-    claims = getattr(shown, "CLAIMS", ())
+    """Return the claims of this kind of run, about each start of a user, and saved with the run."""
+    page_module: Any = module_of(about)
+    claims = getattr(page_module, "CLAIMS", ())
+    if isinstance(claims, dict):
+        claims = claims.get(about["kind"], ())
+    users = [claim for name in about.get("given", {}) for claim in page_module.given_claims(name)]
     saved = [Claim(**claim) for claim in about.get("claims", ())]
-    return [*(claims.get(about["kind"], ()) if isinstance(claims, dict) else claims), *own, *saved]
+    return [*claims, *users, *saved]
 
 
 def facts_of(about: dict[str, Any]) -> list[tuple[str, str]]:
     """Return machine, versions, command and settings for display."""
-    machine = about.get("machine", {})
+    machine = {
+        **dict.fromkeys(("processor", "cores", "system", "python"), "–"),
+        **about.get("machine", {}),
+    }
+    versions = {"Python": machine["python"], **about.get("versions", {})}
     facts = {
-        "machine": f"{machine.get('processor', '–')}, {machine.get('cores', '–')} cores, {machine.get('system', '–')}",
-        "versions": ", ".join(
-            [
-                f"Python {machine.get('python', '–')}",
-                *(f"{k} {v}" for k, v in about.get("versions", {}).items()),
-            ]
-        ),
+        "machine": "{processor}, {cores} cores, {system}".format(**machine),
+        "versions": ", ".join(f"{name} {version}" for name, version in versions.items()),
         **{name: str(about[name]) for name in ("commit", "time", "command") if name in about},
         **{
             name: ", ".join(
@@ -154,10 +150,10 @@ def render(**page: Any) -> str:
     """Return a page as HTML that needs no other file.
 
     Args:
-        page: title; intro (what is compared, how, and where the words are defined); quick, which
-            marks the page; tables, each (title, note, table); facts, each (name, value); if it has
-            them, figures, each (title, caption, base64 of the SVG, alternative text), judged
-            claims, words, each (word, meaning), and the lines of Python that load the table.
+        page: title; intro; quick, which marks the page; tables, each (title, note, table); facts,
+            each (name, value); optional figures, each (title, caption, base64 of the SVG,
+            alternative text), claims as `Verdict`, words, each (word, meaning), and load, lines of
+            Python that load the table.
     """
     whole = {"figures": (), "claims": (), "words": (), "load": (), **page}
     environment = Environment(
@@ -188,23 +184,19 @@ def cell(value: Any) -> str:
 
 
 def axes(height: float, width: float = WIDTH, rows: int = 1) -> tuple[Figure, Any]:
-    """Make a styled figure and its axes, an array of them if there are several rows; sizes in
-    inches.
-    """
+    """Make a styled figure and its axes (an array for several rows); sizes in inches."""
     with rc_context(STYLE):
         figure = Figure(figsize=(width, height), layout="constrained")
-        made = figure.subplots(rows, sharex=True)
+        panels = figure.subplots(rows, sharex=True)
     for panel in figure.axes:
         panel.spines[["top", "right"]].set_visible(False)
         panel.grid(color=LINE, linewidth=0.6)
         panel.set_axisbelow(True)
-    return figure, made
+    return figure, panels
 
 
 def decades(axis: Any, first: int, last: int, every: int = 1) -> None:
-    """Label the decades of a logarithmic axis, from 10^first to 10^last, in plain text: `svg` does
-    not parse the usual labels.
-    """
+    """Label 10^first to 10^last on a logarithmic axis in plain text, as `svg` parses no other."""
     ticks = [10.0**k for k in range(first, last + 1, every)]
     axis.set_ticks(ticks, [small(tick) for tick in ticks])
     axis.minorticks_off()
@@ -218,9 +210,7 @@ def svg(figure: Figure) -> str:
             out, format="svg", transparent=True, metadata={"Date": None, "Creator": None}
         )
     text = out.getvalue()
-    text = (
-        text[text.index("<svg") :].replace(INK, "currentColor").replace("#000000", "currentColor")
-    )
+    text = re.sub(f"{INK}|#000000", "currentColor", text[text.index("<svg") :])
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
     text = re.sub(r"(\d+\.\d{2})\d+", r"\1", text)
     ink = "svg{color:#101010}text{fill:currentColor;font-family:system-ui,sans-serif!important}@media(prefers-color-scheme:dark){svg{color:#e8e8e8}}"
@@ -231,7 +221,7 @@ _INTRO = (
     "This page shows the results of one command; every number comes from the table rows.csv beside it. Rows with equal keys are "
     "repetitions of one experiment, and the table below summarises them. The columns are defined at the end of this page."
 )
-_summary_table: tuple[str, str, Make] = (
+_SUMMARY_TABLE: tuple[str, str, Make] = (
     "Summary",
     "One row for each combination of keys; summary.csv has all of them.",
     lambda rows, means: means,

@@ -1,6 +1,4 @@
-"""Page of `grasp reproduce`, as data: figures and tables as functions of the rows and their
-summary, and claims.
-"""
+"""Page of `grasp reproduce`, as data."""
 
 from __future__ import annotations
 
@@ -39,42 +37,32 @@ INTRO = (
     "are defined at the end of this page."
 )
 CLAIMS = (
-    Claim(
+    Claim.of(
         "every step rule converges with all weights",
         "case == 'weights'",
-        "iterations_missing",
-        "<=",
-        0,
+        "iterations_missing <= 0",
     ),
-    Claim(
+    Claim.of(
         "all forms of the flow take the same iterates, up to rounding",
         "case == 'forms'",
-        "form_difference_max",
-        "<=",
-        1e-10,
+        "form_difference_max <= 1e-10",
     ),
-    Claim(
+    Claim.of(
         "the paper's reduction is faster than the full flow",
         "case == 'costs_product' and form == 'paper'",
-        "nanoseconds_median",
-        "<",
-        1,
+        "nanoseconds_median < 1",
         "case == 'costs_product' and form == 'full'",
     ),
-    Claim(
+    Claim.of(
         "the fewest products are faster than the paper's",
         "case == 'costs_product' and form == 'reduced'",
-        "nanoseconds_median",
-        "<",
-        1,
+        "nanoseconds_median < 1",
         "case == 'costs_product' and form == 'paper'",
     ),
-    Claim(
+    Claim.of(
         "forces of Phi are continuous: between samples ten times closer they change a tenth",
         "method == 'phi' and interval < 0.007",
-        "jump_max",
-        "<=",
-        0.12,
+        "jump_max <= 0.12",
         "method == 'phi' and interval > 0.007",
     ),
 )
@@ -105,9 +93,7 @@ def weights_figure(rows: pd.DataFrame, summary: pd.DataFrame) -> Figure:
 
 
 def excess_figure(rows: pd.DataFrame, summary: pd.DataFrame) -> Figure:
-    """Draw the excess of the normal force at the optimum of Phi over the exact minimum, against
-    lambda, omega = 1.
-    """
+    """Draw the excess of the normal force at the optimum of Phi over the least one, by lambda."""
     figure, panel = axes(2.8)
     excess = _some(summary, "case == 'weights' and force_weight == 1 and rule == 'fixed'")
     for name, style in (("median", "-"), ("p95", "--"), ("max", ":")):
@@ -121,9 +107,7 @@ def excess_figure(rows: pd.DataFrame, summary: pd.DataFrame) -> Figure:
 
 
 def rates_figure(rows: pd.DataFrame, summary: pd.DataFrame) -> Figure:
-    """Draw the gap of every rule against the iterations, with the predicted rate of the exact line
-    search.
-    """
+    """Draw the gap of every rule, and the predicted rate of the exact line search."""
     figure, panel = axes(4.4)
     for (rule, label), colour in zip(RULES.items(), COLOURS, strict=True):
         mine = _some(rows, f"case == 'gaps' and rule == '{rule}'")
@@ -177,32 +161,23 @@ def paths_figure(rows: pd.DataFrame, summary: pd.DataFrame) -> Figure:
 
 
 def weights_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
-    """Make a table of the force excess, and of the iterations of every rule as median (p95), by
-    weights.
-    """
-    found = _some(summary, "case == 'weights'")
+    """Make a table of the force excess and of every rule's iterations, median (p95), by weights."""
+    rules = _some(summary, "case == 'weights'")
     weights = ["force_weight", "barrier_weight"]
-    pairs = zip(found["iterations_median"], found["iterations_p95"], strict=True)
+    pairs = zip(rules["iterations_median"], rules["iterations_p95"], strict=True)
     cells = [f"{number(median)} ({number(p95)})" for median, p95 in pairs]
-    wide = found.assign(cell=cells).pivot(index=weights, columns="rule", values="cell")[list(RULES)]
-    excess = found.groupby(weights)[["force_excess_median", "force_excess_p95"]].first()
+    wide = rules.assign(cell=cells).pivot(index=weights, columns="rule", values="cell")[list(RULES)]
+    excess = rules.groupby(weights)[["force_excess_median", "force_excess_p95"]].first()
     return excess.join(wide.rename(columns=RULES)).reset_index()
 
 
 def rules_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
-    """Make a table of the microseconds of a certified call from the 12-basis, and of the rates, per
-    rule.
-    """
+    """Make a table of the times of certified calls from the 12-basis, and of the rates."""
     times, rates = (_some(summary, f"case == '{case}'") for case in ("times", "rates"))
     times = chosen(times, "start == 'linear_combination'")
-    columns = [
-        "microseconds_median",
-        "microseconds_p90",
-        "microseconds_p99",
-        "rate_max",
-        "rate_predicted_max",
-    ]
-    return times.merge(rates, on="rule").replace({"rule": RULES})[["rule", *columns]]
+    columns = [f"microseconds_{name}" for name in ("median", "p90", "p99")]
+    columns = ["rule", *columns, "rate_max", "rate_predicted_max"]
+    return times.merge(rates, on="rule").replace({"rule": RULES})[columns]
 
 
 def costs_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
@@ -220,31 +195,24 @@ def costs_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
 
 
 def paper_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
-    """Make a table of normal forces, their sum, the balance and the steps on the paper's constant
-    wrench, ours above the printed ones.
-    """
-    found = _some(rows, "case in ('table_one', 'table_one_paper')")
-    wide = found.pivot(index=["start", "case"], columns="contact", values="contact_force")
+    """Make a table of our normal forces and steps beside the paper's, on its constant wrench."""
+    forces = _some(rows, "case in ('table_one', 'table_one_paper')")
+    wide = forces.pivot(index=["start", "case"], columns="contact", values="contact_force")
     wide["sum"], wide["1 - (2 + 3 + 4)"] = wide.sum(axis=1), wide[0] - wide[1] - wide[2] - wide[3]
-    wide["steps"] = found.groupby(["start", "case"])["iterations"].first()
-    wide = (
-        wide.loc[found["start"].unique()]
-        .reset_index()
-        .rename(columns={k: f"{k + 1} [N]" for k in range(4)})
-    )
+    wide["steps"] = forces.groupby(["start", "case"])["iterations"].first()
+    wide = wide.loc[forces["start"].unique()].reset_index()
+    wide = wide.rename(columns={k: f"{k + 1} [N]" for k in range(4)})
     return wide.replace({"case": {"table_one": "ours", "table_one_paper": "paper"}})
 
 
 def paths_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
-    """Make a table of the excess force, and of the largest change and change of rate between coarse
-    and fine samples.
-    """
-    found = _some(summary, "interval > 0")
+    """Make a table of the excess force, and of its changes between coarse and fine samples."""
+    samples = _some(summary, "interval > 0")
     keys = ["case", "method"]
-    wide = found.pivot(index=keys, columns="interval", values=["jump_max", "kink_max"])
+    wide = samples.pivot(index=keys, columns="interval", values=["jump_max", "kink_max"])
     heads = {"jump_max": "change in {:g} ms [N]", "kink_max": "change of rate in {:g} ms [N/s]"}
     wide.columns = [heads[name].format(1e3 * interval) for name, interval in wide.columns]
-    excess = found.groupby(keys)[["force_excess_median", "force_excess_max"]].first()
+    excess = samples.groupby(keys)[["force_excess_median", "force_excess_max"]].first()
     labels = {key: label for key, (label, *_) in METHODS.items()}
     return excess.join(wide).reset_index().replace({"method": labels})
 

@@ -1,6 +1,4 @@
-"""Page of `grasp rl`, as data: figures and tables as functions of the rows and their summary, and
-claims.
-"""
+"""Page of `grasp rl`, as data."""
 
 from __future__ import annotations
 
@@ -34,29 +32,24 @@ INTRO = (
     "start), the shipped learned start and the previous solution. All of them play the same held-out episodes, with deterministic "
     "actions. The columns are defined at the end of this page."
 )
+_PAPER = "case == 'held_out' and agent == 'zero'"
 CLAIMS = tuple(
     claim
     for name in ("ppo/initial_force", "sac/initial_force")
-    for query, paper in (
-        (f"case == 'held_out' and agent == '{name}'", "case == 'held_out' and agent == 'zero'"),
-    )
+    for query in (f"case == 'held_out' and agent == '{name}'",)
     for claim in (
-        Claim(
+        Claim.of(
             f"{AGENTS[name][0]}: fewer iterations than the paper's start",
             query,
-            "mean_iterations_median",
-            "<",
-            1,
-            paper,
+            "mean_iterations_median < 1",
+            _PAPER,
         ),
-        Claim(
+        Claim.of(
             f"{AGENTS[name][0]}: holds no less than the paper's start",
             query,
-            "held_mean",
-            ">=",
-            0,
-            paper,
-            True,
+            "held_mean >= 0",
+            _PAPER,
+            difference=True,
         ),
     )
 )
@@ -68,10 +61,9 @@ def _environments(rows: pd.DataFrame) -> list[str]:
 
 def _by_agent(rows: pd.DataFrame, case: str, environment: str) -> dict[str, Any]:
     """Return the rows of every agent in one environment, in the order of `AGENTS`."""
-    found: Any = rows[(rows["case"] == case) & (rows["environment"] == environment)]
-    return {
-        agent: found[found["agent"] == agent] for agent in AGENTS if (found["agent"] == agent).any()
-    }
+    here: Any = rows[(rows["case"] == case) & (rows["environment"] == environment)]
+    groups = {agent: here[here["agent"] == agent] for agent in AGENTS}
+    return {agent: group for agent, group in groups.items() if len(group)}
 
 
 def place(environment: str) -> str:
@@ -81,9 +73,9 @@ def place(environment: str) -> str:
         >>> place('{"shape": "sphere", "hand": {"name": "allegro"}}'), place('{"hand": "leap"}'), place("{}")
         ('sphere, allegro', 'cuboid, leap', 'cuboid')
     """
-    given = json.loads(environment)
-    shape = given.get("shape") or given.get("object", {}).get("shape", "cuboid")
-    hand = given.get("hand", "")
+    settings = json.loads(environment)
+    shape = settings.get("shape") or settings.get("object", {}).get("shape", "cuboid")
+    hand = settings.get("hand", "")
     return ", ".join(filter(None, (str(shape), hand["name"] if isinstance(hand, dict) else hand)))
 
 
@@ -92,34 +84,33 @@ def _interval(value: float, low: float, high: float) -> str:
 
 
 def scores_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
-    """Make a table of hold rate, iterations, force, torque, drift and return of every policy on the
-    held-out episodes.
-    """
+    """Make a table of the scores of every policy on the held-out episodes."""
     out = []
     for environment in _environments(rows):
-        played = _by_agent(rows, "held_out", environment)
-        several = {agent: steps[steps["held"].notna()] for agent, steps in played.items()}
+        steps = _by_agent(rows, "held_out", environment)
+        last_steps = {agent: mine[mine["held"].notna()] for agent, mine in steps.items()}
         iterations = {
-            agent: ends.groupby("seed")["mean_iterations"].mean() for agent, ends in several.items()
+            agent: ends.groupby("seed")["mean_iterations"].mean()
+            for agent, ends in last_steps.items()
         }
-        for agent, found in _by_agent(summary, "held_out", environment).items():
-            row = found.iloc[0]
-            ends = several[agent]
+        for agent, means in _by_agent(summary, "held_out", environment).items():
+            row = means.iloc[0]
+            ends = last_steps[agent]
             cells = {
                 "environment": place(environment),
                 "policy": AGENTS[agent][0],
                 "training seeds": ends["training_seed"].nunique() or None,
             }
-            rates = (f"{number(100.0 * row[f'held_rate_{part}'])} %" for part in ("low", "high"))
+            rates = (f"{number(100.0 * row[f'held_rate_{end}'])} %" for end in ("low", "high"))
             cells["held"] = f"{row['held_sum']:.0f} of {len(ends)} [{', '.join(rates)}]"
             if iterations[agent].notna().all():  # a solver runs
-                counts = (number(row[f"iterations_{part}"]) for part in ("median", "p95", "p99"))
+                counts = (number(row[f"iterations_{name}"]) for name in ("median", "p95", "p99"))
                 pairs = (iterations[name].to_numpy(float) for name in (agent, "zero"))
                 cells |= {
                     "iterations per step": " / ".join(counts),
                     "of the paper's": _interval(*ratio_interval(*pairs)),
                 }
-            force = (row[f"commanded_force_{part}"] for part in ("mean", "mean_low", "mean_high"))
+            force = (row[f"commanded_force_{name}"] for name in ("mean", "mean_low", "mean_high"))
             cells |= {
                 "squeeze [N]": _interval(*force),
                 "torque, share of the limit": row["torque_share_mean"],
@@ -164,16 +155,14 @@ def training_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
 
 
 def speed_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
-    """Make a table of steps per second of the environments alone, with an agent that acts and with
-    one that trains.
-    """
+    """Make a table of steps per second: environments alone, with an acting and a training agent."""
     out = []
     for environment in _environments(rows):
         for agent, (label, _) in AGENTS.items():
             rates = {
-                case: round(found[agent]["per_second_median"].iloc[0])
+                case: round(means[agent]["per_second_median"].iloc[0])
                 for case in SPEEDS
-                if agent in (found := _by_agent(summary, case, environment))
+                if agent in (means := _by_agent(summary, case, environment))
             }
             if rates:
                 out.append({"environment": place(environment), "agent": label, **rates})
@@ -181,29 +170,25 @@ def speed_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
 
 
 def _curves(rows: pd.DataFrame, column: str, label: str, ending: str) -> Figure | None:
-    """Draw a mean against environment steps, one panel per environment: seeds thin, their mean
-    thick, the zero policy dashed.
-    """
+    """Draw a mean against environment steps: seeds thin, their mean thick, zero policy dashed."""
     rows = rows.assign(length=rows["step"] + 1)
-    shown = {
-        environment: _by_agent(rows, "curve", environment) for environment in _environments(rows)
-    }
+    curves_of = {name: _by_agent(rows, "curve", name) for name in _environments(rows)}
     shown = {
         name: curves
-        for name, curves in shown.items()
-        if any(agent.endswith(ending) for agent in {*curves} - {"zero"})
+        for name, curves in curves_of.items()
+        if any(agent != "zero" and agent.endswith(ending) for agent in curves)
     }
     if not shown:
         return None
     figure, panels = axes(0.9 + 2.1 * len(shown), rows=len(shown))
     for panel, (environment, curves) in zip(np.atleast_1d(panels), shown.items(), strict=True):
-        for agent, found in curves.items():
+        for agent, scores in curves.items():
             if agent == "zero" or not agent.endswith(ending):
                 continue
             name, colour = AGENTS[agent]
             lines = [
-                one.groupby("training_steps")[column].mean()
-                for _, one in found.groupby("training_seed")
+                seed.groupby("training_steps")[column].mean()
+                for _, seed in scores.groupby("training_seed")
             ]
             for line in lines:
                 panel.plot(line, color=colour, linewidth=0.7, alpha=0.55)

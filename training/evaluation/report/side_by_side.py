@@ -1,6 +1,4 @@
-"""`grasp report --compare A B`: comparison of two runs, with intervals; a difference within its
-interval is a tie.
-"""
+"""`grasp report --compare A B`: comparison of two runs, with intervals."""
 
 from __future__ import annotations
 
@@ -39,34 +37,26 @@ def compare(a: Rows, b: Rows) -> Rows:
 
     Returns:
         The keys, "metric", "pairs", "A" and "B" (medians, or means), the ratio or difference as
-        "change" with "low" and "high", and
-        "verdict": "lower", "higher" or "tie". Ties come last.
+        "change" with "low" and "high", and "verdict": "lower", "higher" or "tie". Ties come last.
     """
     shared = a.columns.intersection(b.columns)
     keys = [name for name in KEYS if name in shared]
-    pairing = keys + [
-        name for name in ("problem", "seed", "training_seed", "step") if name in shared
-    ]
+    pairing = [*keys, *shared.intersection(["problem", "seed", "training_seed", "step"])]
     if not pairing:
         raise InvalidInputError("the two runs have no key in common: compare runs of one command")
     both = a.merge(b, on=pairing, suffixes=("_a", "_b"))
-    made: list[dict[str, Any]] = []
+    rows: list[dict[str, Any]] = []
     for _, group in both.groupby(keys or pairing[:1], sort=False, dropna=False):
-        named = {key: group[key].iloc[0] for key in keys}
+        values = {key: group[key].iloc[0] for key in keys}
         for metric in (name for name in METRICS if name in shared):
             first = numbers(group, f"{metric}_a")
             second = numbers(group, f"{metric}_b")
             known = np.isfinite(first) & np.isfinite(second)
             if known.any():
-                made.append(
-                    {
-                        **named,
-                        "metric": metric,
-                        **_row(first[known], second[known], METRICS[metric]),
-                    }
-                )
-    made.sort(key=lambda row: row["verdict"] == "tie")
-    return pd.DataFrame(made)
+                row = _row(first[known], second[known], METRICS[metric])
+                rows.append({**values, "metric": metric, **row})
+    rows.sort(key=lambda row: row["verdict"] == "tie")
+    return pd.DataFrame(rows)
 
 
 def _row(first: np.ndarray, second: np.ndarray, by_ratio: bool) -> dict[str, Any]:
@@ -94,21 +84,21 @@ def write(a: Run, b: Run, out: Run) -> Rows:
     """
     again = "repeat the command that made it"
     with understood(a.folder, again), understood(b.folder, again):
-        (mine, about_a), (theirs, about_b) = a.load(), b.load()
-        made = compare(mine, theirs)
-    if made.empty:
+        (rows_a, about_a), (rows_b, about_b) = a.load(), b.load()
+        table = compare(rows_a, rows_b)
+    if table.empty:
         raise InvalidInputError(
             f"{a.folder} and {b.folder} have no rows in common: compare runs of one command"
         )
-    ties = int((made["verdict"] == "tie").sum())
-    note = f"{len(made) - ties} of {len(made)} comparisons differ, {ties} are ties."
+    ties = int((table["verdict"] == "tie").sum())
+    note = f"{len(table) - ties} of {len(table)} comparisons differ, {ties} are ties."
     page = render(
         title=f"{a.folder.name} (A) against {b.folder.name} (B)",
         intro=INTRO,
         quick=bool(about_a.get("quick") or about_b.get("quick")),
-        tables=[("What differs first", note, made)],
+        tables=[("What differs first", note, table)],
         facts=[(f"A: {name}", value) for name, value in facts_of(about_a)]
         + [(f"B: {name}", value) for name, value in facts_of(about_b)],
     )
     out.write_text("compare.html", page)
-    return made
+    return table

@@ -1,6 +1,4 @@
-"""Page of the comparison of starts, as data: figures and tables are queries on its rows, claims are
-records.
-"""
+"""Page of the comparison of starts, as data."""
 
 from __future__ import annotations
 
@@ -27,253 +25,165 @@ INTRO = (
     f"{small(TOLERANCE)}, failures are counted, and times are those of the whole call from Python, measured alone in one process. "
     "The words are defined at the end of this page, the columns of the table in run.json."
 )
-WORDS = (
-    (
-        "Phi",
-        "The objective omega tr P + lambda tr P^-1: squeeze, and a barrier at the friction cones.",
-    ),
-    ("gap", "Excess of Phi over its least value, relative to that."),
-    (
-        "flow",
-        "The paper's reduced gradient flow on Phi, with Barzilai-Borwein steps. `grasp reproduce` compares the step rules, among them the constant one.",
-    ),
-    (
-        "start",
-        "The force from which a method begins: it balances the wrench strictly inside the friction cones.",
-    ),
-    (
-        "internal force",
-        "The least force that balances the wrench, plus enough of one internal force to bring it inside the cones: Newton's default start.",
-    ),
-    (
-        "12-basis",
-        "The paper's start: a non-negative combination of the optimal forces of twelve unit wrenches.",
-    ),
-    (
-        "network alone",
-        "The output of the network without any step; outside the cones it is moved towards the 12-basis.",
-    ),
-    (
-        "learned, fixed",
-        "The shipped model: the network, its repair, and for Newton the steps that follow in the same compiled call.",
-    ),
-    (
-        "previous",
-        "The last solution, carried to the new wrench by a Newton step within balance (tangent) or by the least change (G^+).",
-    ),
-    ("ball", SETS["ball"].label),
-    (
-        "fixed grasp",
-        "The contacts of presets.paper_cuboid(): a thumb against three fingers on a 0.1 m cuboid.",
-    ),
-    (
-        "replaced",
-        "The start was discarded for the 12-basis's, from which the optimisation then began.",
-    ),
-    (
-        "performance profile",
-        "Share of the problems that a start solves within a factor of the best start on each (Dolan and Moré, 2002).",
-    ),
-    (
-        "held",
-        "The object was not dropped and did not move by more than the task allows, to the end of the episode.",
-    ),
-    ("median / p99", "The value below which half of the problems, and 99 of 100, lie."),
-)
+WORDS = {
+    "Phi": "The objective omega tr P + lambda tr P^-1: squeeze, and a barrier at the friction cones.",
+    "gap": "Excess of Phi over its least value, relative to that.",
+    "flow": "The paper's reduced gradient flow on Phi, with Barzilai-Borwein steps. `grasp reproduce` compares the step rules, among them the constant one.",
+    "start": "The force from which a method begins: it balances the wrench strictly inside the friction cones.",
+    "internal force": "The least force that balances the wrench, plus enough of one internal force to bring it inside the cones: Newton's default start.",
+    "12-basis": "The paper's start: a non-negative combination of the optimal forces of twelve unit wrenches.",
+    "network alone": "The output of the network without any step; outside the cones it is moved towards the 12-basis.",
+    "learned, fixed": "The shipped model: the network, its repair, and for Newton the steps that follow in the same compiled call.",
+    "previous": "The last solution, carried to the new wrench by a Newton step within balance (tangent) or by the least change (G^+).",
+    "ball": SETS["ball"].label,
+    "fixed grasp": "The contacts of presets.paper_cuboid(): a thumb against three fingers on a 0.1 m cuboid.",
+    "replaced": "The start was discarded for the 12-basis's, from which the optimisation then began.",
+    "performance profile": "Share of the problems that a start solves within a factor of the best start on each (Dolan and Moré, 2002).",
+    "held": "The object was not dropped and did not move by more than the task allows, to the end of the episode.",
+    "median / p99": "The value below which half of the problems, and 99 of 100, lie.",
+}
 
 FLOW = "method == 'reduced_flow'"
 NEWTON = "method == 'newton'"
 _BALL = "case == 'ball'"
 _VARIED = "case == 'ball_frictions'"
 _PAPER = f"start == '{BASIS}'"
-_OWN = "start == 'internal_force'"
 _LEARNED = "start in ['learned_fixed', 'learned_previous']"
-_STEADY = "case in ['hold_gravity', 'hold_constant', 'hold_paper_path']"
+_STEADY = f"case in ['hold_gravity', 'hold_constant', 'hold_paper_path'] and {_PAPER}"
+_NETWORK = f"{_VARIED} and start == 'network' and {FLOW}"
+_SMOOTH = f"case in ['smooth', 'trajectories'] and start == 'learned_previous' and {FLOW}"
+_STARTED = f"{_LEARNED} and start_margin_min == start_margin_min"
+_INTERNAL = "start == 'internal_force'"
+_RIVALS = (
+    ("flow", FLOW, "the 12-basis", _PAPER, "compiled", "compiled_microseconds", (0.6, 1.0)),
+    (
+        "Newton",
+        NEWTON,
+        "its internal force",
+        _INTERNAL,
+        "compiled",
+        "compiled_microseconds",
+        (0.55, 0.75),
+    ),
+    ("Newton", NEWTON, "its internal force", _INTERNAL, "from Python", "microseconds", (0.75, 0.9)),
+)
+"""Method and its query, other start and its query, caller, column, limits of median and p99."""
 CLAIMS = (
-    Claim(
+    Claim.of(
         "network alone: median of the flow's iterations, friction varied",
-        f"{_VARIED} and start == 'network' and {FLOW}",
-        "iterations_median",
-        "<=",
-        3,
+        _NETWORK,
+        "iterations_median <= 3",
     ),
-    Claim(
+    Claim.of(
         "network alone: p99 of the flow's iterations, friction varied",
-        f"{_VARIED} and start == 'network' and {FLOW}",
-        "iterations_p99",
-        "<=",
-        15,
+        _NETWORK,
+        "iterations_p99 <= 15",
     ),
-    Claim(
+    Claim.of(
         "network alone: every start is inside the cones, friction varied (least margin)",
-        f"{_VARIED} and start == 'network' and {FLOW}",
-        "start_margin_min",
-        ">",
-        0,
+        _NETWORK,
+        "start_margin_min > 0",
     ),
     *(
-        Claim(
-            f"network and {which}: {word} time over that {of}, {where}",
+        Claim.of(
+            f"network and {name}: {word} time over that from {other}, {caller}",
             f"{_VARIED} and start == 'learned_fixed' and {method}",
-            f"{column}_{stat}",
-            "<=",
-            limit,
-            f"{_VARIED} and {beside} and {method}",
+            f"{column}_{word} <= {limit}",
+            f"{_VARIED} and {start} and {method}",
         )
-        for which, method, of, beside, where, column, limits in (
-            (
-                "flow",
-                FLOW,
-                "from the 12-basis",
-                _PAPER,
-                "compiled",
-                "compiled_microseconds",
-                (0.6, 1.0),
-            ),
-            (
-                "Newton",
-                NEWTON,
-                "from its internal force",
-                _OWN,
-                "compiled",
-                "compiled_microseconds",
-                (0.55, 0.75),
-            ),
-            (
-                "Newton",
-                NEWTON,
-                "from its internal force",
-                _OWN,
-                "from Python",
-                "microseconds",
-                (0.75, 0.9),
-            ),
-        )
-        for word, stat, limit in zip(("median", "p99"), ("median", "p99"), limits, strict=True)
+        for name, method, other, start, caller, column, limits in _RIVALS
+        for word, limit in zip(("median", "p99"), limits, strict=True)
     ),
-    Claim(
+    Claim.of(
         "learned starts: Phi never above the 12-basis's, wrenches of 0.001 to 1000 N (largest excess)",
         f"case == 'six_decades' and {_LEARNED}",
-        "start_excess_max",
-        "<=",
-        PHI_ROUNDING,
+        f"start_excess_max <= {PHI_ROUNDING}",
     ),
-    Claim(
+    Claim.of(
         "learned starts: Phi never above the 12-basis's, all sets (largest excess)",
-        f"{_LEARNED} and start_margin_min == start_margin_min",
-        "start_excess_max",
-        "<=",
-        PHI_ROUNDING,
+        _STARTED,
+        f"start_excess_max <= {PHI_ROUNDING}",
     ),
-    Claim(
+    Claim.of(
         "learned starts: inside the cones, all sets (least margin)",
-        f"{_LEARNED} and start_margin_min == start_margin_min",
-        "start_margin_min",
-        ">",
-        0,
+        _STARTED,
+        "start_margin_min > 0",
     ),
-    Claim(
+    Claim.of(
         "learned starts: balanced, all sets (largest residual over the largest force)",
-        f"{_LEARNED} and start_margin_min == start_margin_min",
-        "start_residual_max",
-        "<=",
-        1e-9,
+        _STARTED,
+        "start_residual_max <= 1e-9",
     ),
-    Claim(
+    Claim.of(
         "learned, with the previous solution: median of the flow's iterations on smooth paths",
-        f"case in ['smooth', 'trajectories'] and start == 'learned_previous' and {FLOW}",
-        "iterations_median",
-        "<=",
-        0,
+        _SMOOTH,
+        "iterations_median <= 0",
     ),
-    Claim(
+    Claim.of(
         "learned, with the previous solution: p99 of the flow's iterations on smooth paths",
-        f"case in ['smooth', 'trajectories'] and start == 'learned_previous' and {FLOW}",
-        "iterations_p99",
-        "<=",
-        7,
+        _SMOOTH,
+        "iterations_p99 <= 7",
     ),
-    Claim(
+    Claim.of(
         "processor time that trained the shipped model",
         "case == 'model'",
-        "cpu_seconds_max",
-        "<=",
-        1800,
-        unit="s",
+        "cpu_seconds_max <= 1800 s",
     ),
-    Claim("size of the shipped model", "case == 'model'", "bytes_max", "<=", 2_000_000, unit="B"),
-    Claim(
-        "the paper's pipeline holds the cuboid: share of the episodes",
-        f"{_STEADY} and {_PAPER}",
-        "held_mean",
-        ">=",
-        1,
+    Claim.of("size of the shipped model", "case == 'model'", "bytes_max <= 2e6 B"),
+    Claim.of(
+        "the paper's pipeline holds the cuboid: share of the episodes", _STEADY, "held_mean >= 1"
     ),
-    Claim(
-        "the paper's pipeline holds the cuboid: largest drift",
-        f"{_STEADY} and {_PAPER}",
-        "drift_max",
-        "<",
-        1,
-        unit="mm",
-    ),
-    Claim(
+    Claim.of("the paper's pipeline holds the cuboid: largest drift", _STEADY, "drift_max < 1 mm"),
+    Claim.of(
         "the paper's pipeline holds the cuboid: no contact lost (share of the episodes)",
-        f"{_STEADY} and {_PAPER}",
-        "contact_always_mean",
-        ">=",
-        1,
+        _STEADY,
+        "contact_always_mean >= 1",
     ),
 )
-GIVEN = (
-    lambda name: Claim(
-        f"{name}: cases without a start, all sets",
-        f"start == '{name}' and {FLOW} and not case.str.startswith('hold_')",
-        "iterations_missing",
-        "<=",
-        0,
-    ),
-    lambda name: Claim(
-        f"{name}: median of the flow's iterations over that of the 12-basis, held-out ball",
-        f"{_BALL} and start == '{name}' and {FLOW}",
-        "iterations_median",
-        "<=",
-        1,
-        f"{_BALL} and {_PAPER} and {FLOW}",
-    ),
-    lambda name: Claim(
-        f"{name}: median time over that of the 12-basis, held-out ball",
-        f"{_BALL} and start == '{name}' and {FLOW}",
-        "microseconds_median",
-        "<=",
-        1,
-        f"{_BALL} and {_PAPER} and {FLOW}",
-    ),
-    lambda name: Claim(
-        f"{name}: share of the starts that were replaced, held-out ball",
-        f"{_BALL} and start == '{name}' and {FLOW}",
-        "start_replaced_mean",
-        "<=",
-        0,
-    ),
-)
-"""Claims about each start of a user."""
+
+
+def given_claims(name: str) -> list[Claim]:
+    """Return the claims about a start of a user."""
+    flow = f"start == '{name}' and {FLOW}"
+    basis = f"{_BALL} and {_PAPER} and {FLOW}"
+    return [
+        Claim.of(
+            f"{name}: cases without a start, all sets",
+            f"{flow} and not case.str.startswith('hold_')",
+            "iterations_missing <= 0",
+        ),
+        Claim.of(
+            f"{name}: median of the flow's iterations over that of the 12-basis, held-out ball",
+            f"{_BALL} and {flow}",
+            "iterations_median <= 1",
+            basis,
+        ),
+        Claim.of(
+            f"{name}: median time over that of the 12-basis, held-out ball",
+            f"{_BALL} and {flow}",
+            "microseconds_median <= 1",
+            basis,
+        ),
+        Claim.of(
+            f"{name}: share of the starts that were replaced, held-out ball",
+            f"{_BALL} and {flow}",
+            "start_replaced_mean <= 0",
+        ),
+    ]
 
 
 def colours(starts: list[str]) -> dict[str, str]:
     """Return the colour of every start; those of a user get the reserved colours in turn."""
-    given = dict(
-        zip((key for key in starts if key not in STARTS), cycle(GIVEN_COLOURS), strict=False)
-    )
-    return {key: start_info(key).colour for key in starts} | given
+    colours = {key: start_info(key).colour for key in starts}
+    users = [key for key in starts if key not in STARTS]
+    return colours | dict(zip(users, cycle(GIVEN_COLOURS), strict=False))
 
 
 def shown(means: Rows) -> list[str]:
     """Return the starts that charts show: the main ones of the ball, in the order of the table."""
-    keys = (
-        chosen(means, f"{_BALL} and {FLOW}")["start"].tolist() if "start" in means.columns else []
-    )
-    return [key for key in keys if start_info(key).main]
+    if "start" not in means.columns:
+        return []
+    return [key for key in chosen(means, f"{_BALL} and {FLOW}")["start"] if start_info(key).main]
 
 
 def pair(row: Any, column: str) -> str:
@@ -283,21 +193,15 @@ def pair(row: Any, column: str) -> str:
         >>> pair({"iterations_median": 42.0, "iterations_p99": 5001.0}, "iterations")
         '42 / > 5000'
     """
-    parts = [row.get(f"{column}_{part}", np.nan) for part in ("median", "p99")]
-    if not all(isinstance(part, (int, float)) and np.isfinite(part) for part in parts):
+    values = [row.get(f"{column}_{name}", np.nan) for name in ("median", "p99")]
+    if not all(isinstance(value, (int, float)) and np.isfinite(value) for value in values):
         return "–"
-    return " / ".join(
-        f"> {ITERATION_LIMIT}"
-        if column == "iterations" and part > ITERATION_LIMIT
-        else number(part)
-        for part in parts
-    )
+    limit = ITERATION_LIMIT if column == "iterations" else np.inf
+    return " / ".join(f"> {limit}" if value > limit else number(value) for value in values)
 
 
 def bars(column: str, label: str) -> Any:
-    """Return a chart with a line for each start: dots are medians, whiskers end at p99, the flow
-    above and Newton below.
-    """
+    """Return a chart of medians (dots) to p99 (whisker ends) per start, flow above Newton."""
 
     def draw(rows: Rows, means: Rows) -> Figure | None:
         keys = shown(means)
@@ -307,33 +211,24 @@ def bars(column: str, label: str) -> Any:
         tint = colours(keys)
         ends = [1.0]
         for place, key in enumerate(keys):
-            for method, name, off, marker in (
-                ("reduced_flow", "flow", -0.2, "o"),
-                ("newton", "Newton", 0.2, "D"),
+            for method, name, off, marker, width in (
+                ("reduced_flow", "flow", -0.2, "o", 2.6),
+                ("newton", "Newton", 0.2, "D", 1.1),
             ):
-                found = chosen(means, f"{_BALL} and start == '{key}' and method == '{method}'")
-                if found.empty or not np.isfinite(numbers(found, f"{column}_median")[0]):
+                mine = chosen(means, f"{_BALL} and start == '{key}' and method == '{method}'")
+                if mine.empty or not np.isfinite(numbers(mine, f"{column}_median")[0]):
                     continue
-                row = found.iloc[0].to_dict()
+                row = mine.iloc[0].to_dict()
                 low = float(row[f"{column}_median"])
                 high = float(row[f"{column}_p99"])
                 ends.append(high)
-                panel.plot(
-                    [low, high],
-                    [place + off] * 2,
-                    color=tint[key],
-                    linewidth=2.6 if name == "flow" else 1.1,
-                )
-                panel.plot([high], [place + off], marker="|", markersize=7, color=tint[key])
-                panel.plot([low], [place + off], marker=marker, markersize=5, color=tint[key])
-                panel.annotate(
-                    f"{name} {pair(row, column)}",
-                    (high, place + off),
-                    (6, 0),
-                    textcoords="offset points",
-                    va="center",
-                    fontsize=8.5,
-                )
+                y = place + off
+                colour = tint[key]
+                panel.plot([low, high], [y, y], color=colour, linewidth=width)
+                panel.plot([high], [y], marker="|", markersize=7, color=colour)
+                panel.plot([low], [y], marker=marker, markersize=5, color=colour)
+                style = {"textcoords": "offset points", "va": "center", "fontsize": 8.5}
+                panel.annotate(f"{name} {pair(row, column)}", (high, y), (6, 0), **style)
         panel.set_xscale("symlog", linthresh=1.0, linscale=0.5)
         panel.set_xlim(-0.05, (max(ends) + 2.0) ** 1.6)
         ticks = [0.0, *(10.0**k for k in range(int(np.log10(max(ends) + 2.0)) + 1))]
@@ -348,28 +243,18 @@ def bars(column: str, label: str) -> Any:
 
 
 def network_figure(rows: Rows, means: Rows) -> Figure | None:
-    """Draw the share of the ball's problems solved against steps of the flow, from the network
-    alone and from the 12-basis.
-    """
+    """Draw the share of the ball solved against steps of the flow, for network and 12-basis."""
     figure, panel = axes(2.8)
-    drawn = False
     for key in (BASIS, "basis_tangent", "network", "network_newton_1"):
         steps = numbers(chosen(rows, f"{_BALL} and start == '{key}' and {FLOW}"), "iterations")
         if not len(steps):
             continue
-        drawn = True
         done = np.sort(np.where(np.isfinite(steps), steps, ITERATION_LIMIT + 1))
-        style = "--" if "Newton" in start_info(key).short else "-"
         share = np.arange(1, len(done) + 1) / len(done)
-        panel.step(
-            1 + done,
-            share,
-            style,
-            where="post",
-            color=start_info(key).colour,
-            label=start_info(key).short,
-        )
-    if not drawn:
+        info = start_info(key)
+        look = {"linestyle": "--" if "Newton" in info.short else "-", "color": info.colour}
+        panel.step(1 + done, share, where="post", label=info.short, **look)
+    if not panel.lines:
         return None
     panel.set(
         xscale="log",
@@ -383,23 +268,21 @@ def network_figure(rows: Rows, means: Rows) -> Figure | None:
 
 
 def profile(query: str, column: str, across: str, by: str = "start") -> Any:
-    """Return a performance profile: the share of problems that each start solves within a factor of
-    the best one.
-    """
+    """Return a performance profile: share solved within a factor of the best start."""
 
     def draw(rows: Rows, means: Rows) -> Figure | None:
-        found = chosen(rows, query)
         keys = shown(means)
-        found: Rows = found[found["start"].isin(keys)]
-        found = found[found[column].notna()] if column == "microseconds" else found
-        if found.empty or column not in found.columns or found[column].isna().all():
+        solves: Rows = chosen(rows, query)
+        solves = solves[solves["start"].isin(keys)]
+        solves = solves[solves[column].notna()] if column == "microseconds" else solves
+        if solves.empty or column not in solves.columns or solves[column].isna().all():
             return None
         counted = column == "iterations"
         # plus one, so that the ratio to a start without steps is finite
-        values = numbers(found, column) + counted
+        values = numbers(solves, column) + counted
         values[(values > ITERATION_LIMIT + 1) & counted] = np.nan
-        name = found["start"] + (" · " + found["method"] if by == "both" else "")
-        grid: Rows = found.assign(value=values, who=name).pivot(
+        name = solves["start"] + (" · " + solves["method"] if by == "both" else "")
+        grid: Rows = solves.assign(value=values, who=name).pivot(
             index=["case", "problem"], columns="who", values="value"
         )
         ratio = grid.div(grid.min(axis=1), axis=0).to_numpy()
@@ -426,8 +309,9 @@ def profile(query: str, column: str, across: str, by: str = "start") -> Any:
     return draw
 
 
-_FIXED = [name for name, which in SETS.items() if which.fixed and which.solved and which.share > 0]
-_OTHER = [name for name, which in SETS.items() if not which.fixed and which.solved]
+_SOLVED = {name: cases for name, cases in SETS.items() if cases.solved}
+_FIXED = [name for name, cases in _SOLVED.items() if cases.fixed and cases.share > 0]
+_OTHER = [name for name, cases in _SOLVED.items() if not cases.fixed]
 FIGURES = (
     (
         "Iterations",
@@ -476,25 +360,17 @@ FIGURES = (
 
 
 def hardest_sets(rows: Rows, means: Rows) -> Rows:
-    """Make a table of the flow's iterations per set of cases and start; the set that is hardest
-    from the 12-basis comes first.
-    """
+    """Make a table of the flow's iterations per set and start, hardest set first."""
     flow = chosen(means, f"{FLOW} and case in {list(SETS)}")
     if flow.empty:
         return flow
     flow = flow.assign(text=[pair(row, "iterations") for row in flow.to_dict("records")])
-    grid = (
-        flow[flow["start"].isin(shown(means))]
-        .pivot(index="case", columns="start", values="text")
-        .fillna("–")
-    )
-    hard = (
-        flow[flow["start"] == BASIS]
-        .set_index("case")["iterations_p99"]
-        .sort_values(ascending=False)
-    )
+    main = flow[flow["start"].isin(shown(means))]
+    grid = main.pivot(index="case", columns="start", values="text").fillna("–")
+    basis = flow[flow["start"] == BASIS].set_index("case")["iterations_p99"]
     grid = grid.reindex(
-        index=hard.index, columns=[key for key in shown(means) if key in grid.columns]
+        index=basis.sort_values(ascending=False).index,
+        columns=[key for key in shown(means) if key in grid.columns],
     )
     grid.insert(0, "cases", [SETS[case].label for case in grid.index])
     names = {key: start_info(key).short for key in grid.columns if key != "cases"}
@@ -502,64 +378,45 @@ def hardest_sets(rows: Rows, means: Rows) -> Rows:
 
 
 def hardest_problems(rows: Rows, means: Rows) -> Rows:
-    """Make a table of the problems on which a main start needs the most iterations of the flow;
-    those without a start come first.
-    """
+    """Make a table of the problems on which a main start takes the most iterations."""
     columns = ["case", "problem", "seed", "start", "status", "iterations", "start_gap"]
-    found: Rows = chosen(rows, f"{FLOW} and case in {list(SETS)}")
-    found = found[found["start"].isin(shown(means))]
-    if found.empty:
-        return found
-    order = found["iterations"].fillna(ITERATION_LIMIT + 2).astype(float)
-    worst = found.assign(order=order).sort_values("order", ascending=False, kind="stable")
-    return (
-        worst.drop_duplicates(["case", "problem"])
-        .groupby("case", sort=False)
-        .head(2)
-        .head(12)[columns]
-    )
+    solves: Rows = chosen(rows, f"{FLOW} and case in {list(SETS)}")
+    solves = solves[solves["start"].isin(shown(means))]
+    if solves.empty:
+        return solves
+    order = solves["iterations"].fillna(ITERATION_LIMIT + 2).astype(float)
+    worst = solves.assign(order=order).sort_values("order", ascending=False, kind="stable")
+    worst = worst.drop_duplicates(["case", "problem"]).groupby("case", sort=False).head(2)
+    return worst.head(12)[columns]
 
 
 def learned_steps(rows: Rows, means: Rows) -> Rows:
-    """Make a table of the network alone and the 12-basis, friction varied: for the flow, and for
-    Newton beside its own start.
-    """
-    found = {
-        (row["start"], row["method"]): row for row in chosen(means, _VARIED).to_dict("records")
-    }
-    flow, newton = "reduced_flow", "newton"
-    made = [
+    """Make a table of network and 12-basis, friction varied; for Newton also its own start."""
+    by = _by_start(means, _VARIED)
+    table = [
         {
             "start": start_info(alone).short,
             "method": label,
-            "start gap": pair(found.get((alone, flow), {}), "start_gap"),
-            "iterations": pair(found.get((alone, method), {}), "iterations"),
-            "compiled call, us": pair(found.get((timed, method), {}), "compiled_microseconds"),
-            "from Python, us": pair(found.get((timed, method), {}), "microseconds"),
+            "start gap": pair(by.get((alone, "reduced_flow"), {}), "start_gap"),
+            "iterations": pair(by.get((alone, method), {}), "iterations"),
+            "compiled call, us": pair(by.get((timed, method), {}), "compiled_microseconds"),
+            "from Python, us": pair(by.get((timed, method), {}), "microseconds"),
         }
-        for label, method, starts in (
-            ("flow", flow, ((BASIS, BASIS), ("network", "learned_fixed"))),
-            (
-                "Newton",
-                newton,
-                (
-                    ("internal_force", "internal_force"),
-                    (BASIS, BASIS),
-                    ("network", "learned_fixed"),
-                ),
-            ),
+        for label, method, alone, timed in (
+            ("flow", "reduced_flow", BASIS, BASIS),
+            ("flow", "reduced_flow", "network", "learned_fixed"),
+            ("Newton", "newton", "internal_force", "internal_force"),
+            ("Newton", "newton", BASIS, BASIS),
+            ("Newton", "newton", "network", "learned_fixed"),
         )
-        for alone, timed in starts
     ]
-    return pd.DataFrame(made if (BASIS, flow) in found else [])
+    return pd.DataFrame(table if (BASIS, "reduced_flow") in by else [])
 
 
 def newton_first(rows: Rows, means: Rows) -> Rows:
-    """Make a table of the flow's iterations from the 12-basis and from the network, after zero, one
-    and two Newton steps.
-    """
+    """Make a table of the flow's iterations after zero, one and two Newton steps."""
     ball = {row["start"]: row for row in chosen(means, f"{_BALL} and {FLOW}").to_dict("records")}
-    made = [
+    table = [
         {
             "plain Newton steps first": steps,
             "12-basis": pair(ball.get(a, {}), "iterations"),
@@ -575,18 +432,21 @@ def newton_first(rows: Rows, means: Rows) -> Rows:
             )
         )
     ]
-    return pd.DataFrame(made if BASIS in ball else [])
+    return pd.DataFrame(table if BASIS in ball else [])
+
+
+def _by_start(means: Rows, query: str) -> dict[tuple[str, str], dict[str, Any]]:
+    return {(row["start"], row["method"]): row for row in chosen(means, query).to_dict("records")}
 
 
 def all_starts(rows: Rows, means: Rows) -> Rows:
     """Make a table of every start on the ball."""
-    by = {(row["start"], row["method"]): row for row in chosen(means, _BALL).to_dict("records")}
-    keys = dict.fromkeys(start for start, _ in by)
-    made = []
-    for key in keys:
+    by = _by_start(means, _BALL)
+    table = []
+    for key in dict.fromkeys(start for start, _ in by):
         flow = by.get((key, "reduced_flow"), {})
         newton = by.get((key, "newton"), {})
-        made.append(
+        table.append(
             {
                 "start": start_info(key).label,
                 "no start": flow.get("iterations_missing"),
@@ -599,20 +459,22 @@ def all_starts(rows: Rows, means: Rows) -> Rows:
                 "Newton, us": pair(newton, "microseconds"),
             }
         )
-    return pd.DataFrame(made)
+    return pd.DataFrame(table)
 
 
 def failures(rows: Rows, means: Rows) -> Rows:
     """Count the failures of starts by case and reason."""
-    found: Rows = chosen(
+    failed: Rows = chosen(
         rows, "status in ['no_start', 'stalled', 'iteration_limit'] or held == False"
     )
-    if found.empty:
-        return found
-    why = found["reason"].fillna(found.get("failure", found["status"])).fillna(found["status"])
-    found = found.assign(why=why)
+    if failed.empty:
+        return failed
+    status = failed["status"]
+    failed = failed.assign(
+        why=failed["reason"].fillna(failed.get("failure", status)).fillna(status)
+    )
     keys = ["case", "start", "method", "why"]
-    counts = found.groupby(keys, dropna=False, sort=False).size().reset_index(name="count")
+    counts = failed.groupby(keys, dropna=False, sort=False).size().reset_index(name="count")
     return counts.sort_values("count", ascending=False)
 
 

@@ -1,5 +1,4 @@
-"""Study of what the paper leaves open: weights, step rules, rates, forms, forces along W_ext(t) and
-Table I.
+"""Study of what the paper leaves open: weights, step rules, rates, forms, W_ext(t), Table I.
 
 The paper prints neither omega, lambda nor alpha_k and names their influence as future work. `run`
 computes one table of rows; `training.evaluation.report.reproduce_page` shows it.
@@ -55,8 +54,11 @@ FIXED_SIZES = tuple(float(size) for size in 10.0 ** np.arange(0.5, -4.6, -0.125)
 """Constant steps to try [N / omega], longest first."""
 ITERATION_LIMIT = 20_000
 FORMS = ("full", "paper", "reduced")
-"""Ways to compute the same step: Q times vec(P^-1 W_i P^-1 - W_p) (Eqs. 9-12), Q_bar times VWP
-(Eqs. 18-26), and the fewest products."""
+"""Ways to compute the same step.
+
+"full" is Q times vec(P^-1 W_i P^-1 - W_p) (Eqs. 9-12), "paper" Q_bar times VWP (Eqs. 18-26),
+"reduced" the fewest products.
+"""
 PAPER_TABLE: dict[str, tuple[tuple[float, ...], int | None]] = {
     "single_value": ((8.30, 2.73, 2.57, 2.40), 160),
     "lagrange": ((5.19, 1.59, 1.50, 1.51), 120),
@@ -69,8 +71,7 @@ Rows = Iterator[dict[str, Any]]
 
 
 def run(quick: bool = False) -> pd.DataFrame:
-    """Compute every part, one after another in this process, since some parts measure times; if
-    `quick`, of few wrenches and samples.
+    """Compute every part in turn, alone in this process; if `quick`, of few wrenches and samples.
 
     Returns:
         The rows. Cases: "weights", "times", "rates", "gaps", "forms", "costs_product",
@@ -119,8 +120,7 @@ def step_rules(fixed: float) -> dict[str, StepRule]:
 
 
 def operations(form: str, count: int) -> int:
-    """Multiplications of one product step for N = `count` contacts; see the core's
-    `projection.hpp`.
+    """Return the multiplications of a product step for N = `count`; see `projection.hpp`.
 
     Example:
         >>> [operations(form, 4) for form in FORMS]
@@ -131,8 +131,7 @@ def operations(form: str, count: int) -> int:
 
 
 class Cases:
-    """One Phi on one grasp: the 12-basis starts of some wrenches, their optima, and the flow in one
-    form.
+    """One Phi on one grasp: starts of the 12-basis, optima, and the flow in one form.
 
     Attributes:
         starts: (n, N, 3) forces [N].
@@ -184,9 +183,7 @@ class Cases:
         return [self.run(rule, k, float(self.optima[k])) for k in range(len(self.wrenches[:count]))]
 
     def gaps(self, rule: StepRule, limit: int = 5000) -> Array:
-        """Return the relative gap of Phi (steps + 1,) at every iterate of the first wrench, down to
-        1e-12.
-        """
+        """Return the relative gaps of Phi (steps + 1,) on the first wrench, down to 1e-12."""
         trace = np.full(limit + 1, np.nan)
         best = float(self.optima[0])
         record = self.run(rule, 0, best, 1e-12, limit, trace)
@@ -195,9 +192,7 @@ class Cases:
     def certified(
         self, rule: StepRule, initial: str | InitialForceRule, repeats: int = 5
     ) -> tuple[Array, Array]:
-        """Return the shortest time (n,) [us] of `repeats` certified compiled calls per wrench, and
-        their iterations (n,).
-        """
+        """Return the shortest times (n,) [us] of certified compiled calls, and iterations (n,)."""
         options = {
             "method": "reduced_flow",
             "step_rule": rule,
@@ -211,9 +206,7 @@ class Cases:
         return 1e6 * best, rows[:, ITERATIONS]
 
     def tuned_step(self, count: int = 20) -> float:
-        """Return the longest constant step that is never halved on the first `count` wrenches; it
-        is the fastest on them.
-        """
+        """Return the longest constant step that is never halved on the first `count` wrenches."""
         for size in FIXED_SIZES:
             records = self.descents(FixedStep(size / self.omega), count)
             if all(
@@ -225,9 +218,7 @@ class Cases:
 
 
 def weights(grasp: Grasp, wrenches: Array, omega: float, barrier: float) -> Rows:
-    """Yield the iterations of every step rule on every wrench with these weights, and the excess
-    over the least normal force.
-    """
+    """Yield every rule's iterations on every wrench, and the excess over the least normal force."""
     conic = ForceOptimizer(grasp, method="conic")
     least = np.array([conic.solve(load).raise_for_status().total_normal_force for load in wrenches])
     cases = Cases(grasp, wrenches, omega, barrier)
@@ -250,9 +241,7 @@ def weights(grasp: Grasp, wrenches: Array, omega: float, barrier: float) -> Rows
 
 
 def times(grasp: Grasp, wrenches: Array) -> Rows:
-    """Yield microseconds and iterations of a compiled call to a certified gap of 1e-4, lambda 0.01,
-    per rule and start.
-    """
+    """Yield time and iterations of compiled calls to a certified gap of 1e-4, lambda 0.01."""
     cases = Cases(grasp, wrenches)
     starts = {
         "linear_combination": "linear_combination",
@@ -273,9 +262,7 @@ def times(grasp: Grasp, wrenches: Array) -> Rows:
 
 
 def spectrum(cases: Cases) -> tuple[float, float]:
-    """Return the least and largest eigenvalue of the Hessian of Phi at the first optimum, on ker G
-    in the metric of P.
-    """
+    """Return the extreme eigenvalues of the Hessian of Phi on ker G at the first optimum."""
     grasp = cases.grasp
     force = cases.forces[0]
     root = np.sqrt(np.tile(METRIC, grasp.n_contacts))
@@ -286,8 +273,7 @@ def spectrum(cases: Cases) -> tuple[float, float]:
 
 
 def rates(grasp: Grasp, load: Array) -> Rows:
-    """Yield the gap along the iterations on one wrench per rule, fitted and predicted rates, and
-    the difference between the forms.
+    """Yield gaps on one wrench, fitted and predicted rates, and differences between the forms.
 
     A fitted rate is the factor per iteration of the gap between 1e-3 and 1e-9. Predicted, kappa = L
     / m the condition number of the projected Hessian at the optimum: (1 - alpha m)^2 for a constant
@@ -320,9 +306,7 @@ def rates(grasp: Grasp, load: Array) -> Rows:
 
 
 def _fitted(gaps: Array) -> float | None:
-    """Fit the factor per iteration by least squares on the logarithm; None with fewer than three
-    points.
-    """
+    """Fit the factor per iteration to the logarithm; None with fewer than three points."""
     inside = np.flatnonzero((gaps < 1e-3) & (gaps > 1e-9))
     if len(inside) < 3:
         return None
@@ -330,8 +314,7 @@ def _fitted(gaps: Array) -> float | None:
 
 
 def costs(grasps: tuple[Grasp, ...], repeats: int) -> Rows:
-    """Yield counted multiplications and measured nanoseconds, per product step and per whole
-    iteration of every form.
+    """Yield multiplications and nanoseconds per product step and per iteration of every form.
 
     The forms take turns, `repeats` times. The rest of an iteration is Phi, its gradient and the
     step rule. The matrices are in the cache, as in a control loop that does nothing else.
@@ -363,9 +346,7 @@ def _product(cases: Cases) -> float:
 
 
 def _iteration(cases: Cases) -> float:
-    """Return the nanoseconds per accepted step, with a step so short that no trial fails and the
-    optimum stays far.
-    """
+    """Return the nanoseconds per step; the step is so short that no trial fails."""
 
     def descend(count: int) -> None:
         record = cases.run(FixedStep(1e-6), 0, 1e-9, limit=count)
@@ -387,8 +368,7 @@ def _time_repetition(call: Callable[[int], object], count: int) -> float:
 
 
 def path(name: str, grasp: Grasp, fine: float) -> Rows:
-    """Yield the forces along W_ext(t), 2 s, of the pyramid linear program, of Phi and of the exact
-    cones.
+    """Yield forces along W_ext(t), 2 s, of the linear program, of Phi and of the exact cones.
 
     "jump" is the change of a finger's force since the sample before. With samples ten times closer
     it becomes ten times smaller if the forces are continuous, and stays the same at a jump. "kink",
@@ -427,8 +407,7 @@ def path(name: str, grasp: Grasp, fine: float) -> Rows:
 
 
 def table_one(grasp: Grasp, load: Array) -> Rows:
-    """Yield normal forces and flow steps of the paper's starts and the optimum on its constant
-    wrench, beside the printed ones.
+    """Yield normal forces and flow steps on the paper's constant wrench, beside the printed ones.
 
     This is no acceptance test: the paper does not print contact positions, weights, step size and
     two of the three starts. The balance of 0.6 N, the order of the starts, and ratios can be

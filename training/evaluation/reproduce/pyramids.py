@@ -1,5 +1,4 @@
-"""Linear program of grasp forces: least total normal force with a friction pyramid inside every
-cone, by HiGHS.
+"""Linear program of grasp forces with friction pyramids inside the cones, by HiGHS.
 
 `grasp reproduce` compares with it. Its forces lie on edges of the pyramids: along a path of the
 wrench they have kinks, and they may jump where several forces cost the same. Kerr, Roth 1986 and
@@ -20,8 +19,7 @@ _TOLERANCE = 1e-10
 
 
 def pyramid_forces(grasp: Grasp, wrench: Wrench, facets: int = 8) -> ContactForces:
-    """Return the (N, 3) forces [N] of least total normal force that balance a wrench, each inside
-    an inscribed friction pyramid.
+    """Return balancing forces (N, 3) [N] inside friction pyramids, of least normal force.
 
     min sum normal_i s.t. G f + w = 0, f_i = sum_k c_ik e_ik, c >= 0, where the `facets` edges e_ik
     lie on the cone of contact i, the first at normal + mu_o o. 8 facets cost 3 % more than the

@@ -1,6 +1,4 @@
-"""Results of comparisons: run folders, typed tables of rows, claims about them, and the map over
-shards.
-"""
+"""Results of comparisons: run folders, typed tables, claims, and a map over shards."""
 
 from training.evaluation.results.run import Run, default_name, provenance, understood
 

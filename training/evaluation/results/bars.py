@@ -18,9 +18,7 @@ from rich.text import Text
 
 
 class Bars(Progress):
-    """Bars as wide as the terminal, with the field `note` of each task below them; no line is
-    wrapped.
-    """
+    """Bars as wide as the terminal, with each task's field `note` below; no line is wrapped."""
 
     def get_renderables(self) -> Iterator[RenderableType]:
         """Yield the lines, from the top."""

@@ -1,4 +1,8 @@
-"""Claims as data: a name, a query on the summary of a run, a comparison and a bound."""
+"""Claims as data: a name, a query on the summary of a run, a comparison and a bound.
+
+The claims of each kind of run are the lists `CLAIMS` in `starts_page`, `holds_page`, `rl_page` and
+`reproduce_page` of `training.evaluation.report`; benchmarks save theirs with the run.
+"""
 
 from __future__ import annotations
 
@@ -53,10 +57,16 @@ class Claim:
     difference: bool = False
     unit: str = ""
 
+    @classmethod
+    def of(
+        cls, name: str, query: str, bound: str, over: str = "", difference: bool = False
+    ) -> Claim:
+        """Make a claim from its bound as text, such as "drift_max < 1 mm"."""
+        column, comparison, target, *unit = bound.split()
+        return cls(name, query, column, comparison, float(target), over, difference, *unit)
+
     def values(self, rows: pd.DataFrame) -> np.ndarray:
-        """Return the measured numbers, one for each row that the query selects; nan if the row, or
-        one of its cases, has no number.
-        """
+        """Return the measured number of every selected row; nan if one of its cases has none."""
         mine = chosen(rows, self.query)
         other = chosen(rows, self.over) if self.over else None
         if self.column not in rows.columns:
@@ -88,7 +98,7 @@ class Claim:
 
 
 @dataclass(frozen=True)
-class Judged:
+class Verdict:
     """Verdict on a claim.
 
     Attributes:
@@ -107,23 +117,22 @@ class Judged:
         return f"{self.claim.comparison} {self.claim.target:g} {self.claim.unit}".strip()
 
     @property
-    def found(self) -> str:
+    def result(self) -> str:
         """Measured number, as text."""
         return "–" if self.measured is None else f"{self.measured:.4g} {self.claim.unit}".strip()
 
 
-def judge(claims: Iterable[Claim], rows: pd.DataFrame) -> list[Judged]:
+def judge(claims: Iterable[Claim], rows: pd.DataFrame) -> list[Verdict]:
     """Judge claims against the summary of a run.
 
-    Missed claims come first, then those not measured, then those met.
-
-    A claim is missed if one of its rows lacks the number.
+    Missed claims come first, then those not measured, then those met. A claim is missed if one of
+    its rows lacks the number.
 
     Example:
         >>> rows = pd.DataFrame({"case": ["ball", "ball"], "start": ["paper", "network"], "iterations_median": [45.0, 4.0]})
         >>> few = Claim("few steps", "start == 'network'", "iterations_median", "<=", 8)
         >>> share = Claim("a tenth of the paper's", "start == 'network'", "iterations_median", "<=", 0.05, "start == 'paper'")
-        >>> [(row.claim.name, row.target, row.found, row.met) for row in judge([few, share], rows)]
+        >>> [(row.claim.name, row.target, row.result, row.met) for row in judge([few, share], rows)]
         [("a tenth of the paper's", '<= 0.05', '0.08889', False), ('few steps', '<= 8', '4', True)]
     """
     judged = []
@@ -136,14 +145,14 @@ def judge(claims: Iterable[Claim], rows: pd.DataFrame) -> list[Judged]:
             if len(values)
             else None
         )
-        judged.append(Judged(claim, float(worst(finite)) if len(finite) else None, met))
+        judged.append(Verdict(claim, float(worst(finite)) if len(finite) else None, met))
     order = list(VERDICTS)
     return sorted(judged, key=lambda row: order.index(row.met))
 
 
-def lines(judged: Sequence[Judged]) -> Iterator[str]:
+def lines(judged: Sequence[Verdict]) -> Iterator[str]:
     """Yield two lines for each claim, for a terminal."""
     for row in judged:
         verdict = "" if row.met is None else VERDICTS[row.met]
-        measured = "not measured in this run" if row.measured is None else f"measured {row.found}"
+        measured = "not measured in this run" if row.measured is None else f"measured {row.result}"
         yield f"{verdict:6}  {row.claim.name}\n        target {row.target}; {measured}"

@@ -1,6 +1,4 @@
-"""Run folders: the outputs of a command, each file written whole or not at all, with all that is
-needed to repeat the run.
-"""
+"""Run folders: outputs of a command, with all that is needed to repeat it."""
 
 from __future__ import annotations
 
@@ -118,8 +116,7 @@ class Run:
         return read_json(self.path(name), InvalidInputError, "the run's file")
 
     def save(self, rows: pd.DataFrame, about: dict[str, Any]) -> None:
-        """Write rows.csv and, last, run.json, which marks the run as finished; then remove the
-        finished shards.
+        """Write rows.csv, then run.json, which marks the run as finished; remove the shards.
 
         To `about`, its kind and settings, machine, versions, commit and the meaning of the columns
         are added.
@@ -154,8 +151,7 @@ class Run:
         return rows, about
 
     def begin(self, plan: dict[str, Any]) -> None:
-        """Save in plan.json the settings that decide the results, or check that an interrupted run
-        was begun with the same.
+        """Save the settings in plan.json, or check that an interrupted run began with the same.
 
         Raises:
             InvalidInputError: it was begun with other settings.
@@ -175,8 +171,7 @@ class Run:
 
 @contextmanager
 def understood(folder: Path, again: str) -> Iterator[None]:
-    """Turn any error in the block into the message that the run's files were changed or made by
-    another version.
+    """Report any error in the block as files that were changed or made by another version.
 
     `again` is advice how to make such files again.
 

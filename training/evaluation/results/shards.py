@@ -1,5 +1,4 @@
-"""Map of a function over shards of long work: inline, in processes of this machine, or on a Ray
-cluster.
+"""Map of a function over shards: inline, in processes, or on a Ray cluster.
 
 The rows and their order do not depend on where the shards run. Times are never measured inside the
 map.
@@ -31,8 +30,7 @@ ON = "inline, processes, ray or ray://HOST:PORT"
 ATTEMPTS = 3
 """Number of times in a row that workers may be killed without finishing a shard."""
 THREADS = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-"""Environment that gives each worker one thread of BLAS and torch; the libraries read it when they
-are loaded."""
+"""Environment that gives each worker one thread of BLAS and torch, which read it on loading."""
 
 Work = Callable[[Any], "pd.DataFrame"]
 """Function from a shard to its rows, of a module, so that workers can import it."""

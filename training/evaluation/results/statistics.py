@@ -12,8 +12,7 @@ _RESAMPLES = 1000
 
 
 def median_interval(values: NDArray[np.float64]) -> tuple[float, float]:
-    """Return a 95 % interval of the median, between order statistics, which assumes no
-    distribution.
+    """Return a 95 % interval of the median, between order statistics, of any distribution.
 
     Example:
         >>> median_interval(np.arange(101.0))
@@ -45,8 +44,7 @@ def ratio_interval(
     seed: int = 0,
     of: Callable[..., Any] = np.median,
 ) -> tuple[float, float, float]:
-    """Return median(numerator) / median(denominator) of paired samples, with its 95 % paired
-    bootstrap interval.
+    """Return the ratio of medians of paired samples, and its 95 % paired bootstrap interval.
 
     `of` replaces the median: a function of an array and `axis`.
 
@@ -90,8 +88,7 @@ def wilson(count: int, total: int) -> tuple[float, float]:
 
 
 def iqm(values: ArrayLike) -> float:
-    """Return the interquartile mean, that of the middle half of all values, for an array of any
-    shape.
+    """Return the interquartile mean, that of the middle half, for an array of any shape.
 
     Example:
         >>> iqm(np.array([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 1000.0]))
@@ -103,8 +100,7 @@ def iqm(values: ArrayLike) -> float:
 
 
 def iqm_interval(values: ArrayLike, seed: int = 0) -> tuple[float, float]:
-    """Return a 95 % bootstrap interval of the interquartile mean of (n,) or (seeds, episodes),
-    resampling both axes.
+    """Return a 95 % bootstrap interval of the `iqm` of (n,) or (seeds, episodes), over both axes.
 
     Example:
         >>> iqm_interval(np.full((3, 8), 2.0))

@@ -77,8 +77,7 @@ The number of rows without a value, "missing", is computed by `summary`.
 
 
 def table(rows: Iterable[Mapping[str, Any]] | pd.DataFrame) -> pd.DataFrame:
-    """Make a table of rows: columns in the order of `COLUMNS`, each with its type, without empty
-    columns.
+    """Make a table of rows, with the order and types of `COLUMNS`, without empty columns.
 
     Raises:
         InvalidInputError: a column is not in `COLUMNS`, or a value does not fit its kind.
@@ -112,8 +111,7 @@ def join(parts: Iterable[pd.DataFrame]) -> pd.DataFrame:
 
 
 def write(path: Path, rows: pd.DataFrame, number: str | None = None) -> None:
-    """Write a CSV file with a header, compressed if its name ends in .xz; equal tables give equal
-    bytes.
+    """Write a CSV file, compressed if its name ends in .xz; equal tables give equal bytes.
 
     Missing values are empty, and so are empty texts. `number` is the format of real numbers; None:
     their digits restore the same number.
@@ -240,9 +238,7 @@ def described(columns: Iterable[str]) -> dict[str, str]:
 
 
 def chosen(rows: pd.DataFrame, query: str) -> pd.DataFrame:
-    """Return the rows that a query of `pandas.DataFrame.query` selects; none if it names a missing
-    column.
-    """
+    """Return the rows that a query of `DataFrame.query` selects; none if a column is missing."""
     names = set(re.findall(r"[A-Za-z_]\w*", re.sub(r"'[^']*'|\"[^\"]*\"", "", query)))
     lacking = (names & {*COLUMNS}) - {*rows.columns}
     # of the named columns alone, since `query` reads all

@@ -6,8 +6,7 @@ import textwrap
 
 
 def number(value: float | None) -> str:
-    """Format a number with three significant digits and no exponent between 1e-4 and 1e6; None as a
-    dash.
+    """Format a number with three digits, no exponent between 1e-4 and 1e6; None as a dash.
 
     Example:
         >>> number(1234.5678), number(0.00012345), number(None), number(42)

@@ -1,3 +1,4 @@
-"""Sub-commands of `grasp`, one per file: a dataclass of options with a method `execute`, which does
-the heavy imports.
+"""Sub-commands of `grasp`, one per file: a dataclass of options with a method `execute`.
+
+Heavy imports are in that method.
 """

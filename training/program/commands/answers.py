@@ -34,9 +34,7 @@ def _plain(value: Any) -> Any:
 
 
 def make_table(title: str, *columns: str) -> Table:
-    """Return an empty table with its first column on the left; without `columns` it has two, and no
-    header.
-    """
+    """Return an empty table, first column left; without `columns` two columns and no header."""
     from rich.table import Table
 
     table = Table(title=title, title_justify="left", show_header=bool(columns))

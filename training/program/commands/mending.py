@@ -89,8 +89,7 @@ def mended(corners: Array, faces: Any, name: str) -> Mended:
 
 
 def as_obj(mesh: Mended, name: str) -> bytes:
-    """Return the text of an .obj file with all digits, after checking that it reads back as a
-    solid.
+    """Return the text of an .obj file with all digits, checked to read back as a solid.
 
     Raises:
         InvalidInputError: the text is too large to be read, or is not a solid when read back.
@@ -102,8 +101,7 @@ def as_obj(mesh: Mended, name: str) -> bytes:
 
 
 def closed_parts(corners: Array, faces: Any) -> dict[str, Any]:
-    """Close all parts; return corners, faces, the number of parts, and the number left out because
-    they enclose no volume.
+    """Close all parts; return corners, faces, and counts of parts and of those left out.
 
     Parts that are closed already stay as they are. If all are, MeshFix checks each for faces that
     cross.

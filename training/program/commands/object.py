@@ -1,6 +1,4 @@
-"""`grasp object`: show what a mesh file becomes, close a torn mesh, list and clear the cache of
-meshes.
-"""
+"""`grasp object`: show or repair a mesh file, list or clear the cache of meshes."""
 
 from __future__ import annotations
 
@@ -234,9 +232,7 @@ def _list() -> tuple[dict[str, Any], list[Any]]:
 
 
 def _pieces(path: Path) -> int | None:
-    """Return the number of convex pieces of a cache entry, reading only that array; None if it
-    cannot be read.
-    """
+    """Return the number of convex pieces of a cache entry; None if it cannot be read."""
     try:
         with np.load(path, allow_pickle=False) as arrays:
             return len(arrays["counts"])
@@ -254,9 +250,7 @@ def _clear() -> tuple[dict[str, Any], list[Any]]:
 
 
 def _count_common(before: Array, after: Array) -> int:
-    """Return the number of triangles (F, 3, 3) `after` that are among those `before`, compared by
-    their centres.
-    """
+    """Return the number of triangles (F, 3, 3) `after` with a centre among those `before`."""
     grain = _NEAR * float(np.ptp(before.reshape(-1, 3), axis=0).max())
     cells = (
         np.round(each.mean(axis=1) / grain).astype(np.int64).tolist() for each in (before, after)

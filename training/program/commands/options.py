@@ -1,6 +1,4 @@
-"""Types of options: closed lists, which help and completions show, and options that may be left
-out.
-"""
+"""Types of options: closed lists, and options that may be left out."""
 
 from __future__ import annotations
 
@@ -34,9 +32,7 @@ def left_out(otherwise: str, what: str | None = None) -> Any:
 
 
 def setting_help(path: str, otherwise: str | None = None) -> Any:
-    """Take an option's help from the environment's setting at this path; `otherwise` as in
-    `left_out`.
-    """
+    """Take an option's help from the environment's setting; `otherwise` as in `left_out`."""
     try:
         sentence = import_module("grasp_env.config.env").all_settings()[path].doc
     except MissingExtraError:  # the command names the extra
@@ -79,9 +75,7 @@ def pairs_of(words: Iterable[str], form: str) -> dict[str, str]:
 
 
 def misplaced(command: Any, own: Mapping[str, Iterable[str]], what: str) -> str | None:
-    """Return the first given option that belongs only to another entry of `own` than `what`; None
-    if there is none.
-    """
+    """Return the first given option that belongs only to other entries than `what`, or None."""
     others = {name for names in own.values() for name in names} - {*own[what]}
     given = (item.name for item in fields(command) if getattr(command, item.name) != item.default)
     return next((name for name in given if name in others), None)
@@ -101,8 +95,7 @@ SIX = tyro.constructors.PrimitiveConstructorSpec[Any](
     is_instance=lambda value: value is None or (isinstance(value, tuple) and len(value) == 6),
     str_from_instance=lambda value: [] if value is None else list(map(str, value)),
 )
-"""Reader of an option with six numbers, or None if it is left out; a union with None would hide how
-many are missing."""
+"""Reader of an option with six numbers, or None; a union would hide how many are missing."""
 Wrench = Annotated[tuple[float, float, float, float, float, float], SIX]
 """Force [N] and moment [N m]."""
 

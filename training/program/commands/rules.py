@@ -9,9 +9,7 @@ from grasp_env.force.initial import NAMES, InitialForceRule
 
 
 def rule(name: str) -> str | InitialForceRule:
-    """Return the rule of a name: a rule of the package, "learned" for the shipped model, or the
-    path of a saved one.
-    """
+    """Return a rule of the package, the shipped model ("learned"), or a saved one by its path."""
     if name in NAMES:
         return name
     from policies import LearnedInitialForce

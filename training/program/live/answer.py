@@ -1,6 +1,4 @@
-"""Solutions for bare contacts, for display: forces and their certificates, or a remedy if no force
-holds the load.
-"""
+"""Solutions for bare contacts, with certificates, or a remedy if no force holds the load."""
 
 from __future__ import annotations
 

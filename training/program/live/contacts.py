@@ -25,8 +25,7 @@ HINT = "**Drag** the purple ball (force), the pink ball (moment) or a contact; e
 NO_LIMIT = 50.0
 """End of the slider [N], which means no limit."""
 _FORCE, _LOAD, _MOMENT = 0.55, 0.95, 0.62
-"""Drawn lengths of the largest initial contact force, of the initial load's force and of its
-moment, in extents of the object."""
+"""Drawn lengths of the first contact force, load force and moment, in object extents."""
 
 
 class BareContacts(Window):
@@ -184,9 +183,7 @@ class BareContacts(Window):
 
 
 def cast_ray(mesh: trimesh.Trimesh, eye: Array, through: Array) -> tuple[Array, Array] | None:
-    """Return the point where the ray from `eye` (3,) through a point (3,) enters a convex mesh, and
-    the inward normal; None if it misses.
-    """
+    """Return where the ray `eye` to `through` (3,) enters a convex mesh, and the inward normal."""
     along = through - eye
     normals = mesh.face_normals
     ahead = np.einsum("ij,ij->i", mesh.triangles_center - eye, normals)
@@ -202,9 +199,7 @@ def cast_ray(mesh: trimesh.Trimesh, eye: Array, through: Array) -> tuple[Array, 
 
 
 def place_contacts(mesh: trimesh.Trimesh, count: int) -> tuple[Array, Array]:
-    """Return contacts (N, 3) [m] on a mesh and inward normals (N, 3): one at the back, the others
-    around the front.
-    """
+    """Return contacts (N, 3) [m] and inward normals (N, 3): one at the back, the rest in front."""
     around = 2.0 * np.pi * np.arange(count - 1) / (count - 1) + 0.5 * np.pi
     front = np.column_stack(
         [0.62 * np.cos(around), 0.62 * np.sin(around), np.full(count - 1, 0.785)]
@@ -219,9 +214,7 @@ def place_contacts(mesh: trimesh.Trimesh, count: int) -> tuple[Array, Array]:
 
 
 def body_of(grasp: Grasp) -> tuple[str, trimesh.Trimesh]:
-    """Return name and mesh of the body that the contacts lie on: a shape about the origin if one
-    fits, else the contacts' hull.
-    """
+    """Return name and mesh of the body under the contacts: a shape if one fits, else their hull."""
     extent = 2.0 * float(np.abs(grasp.positions).max())
     for shape in SHAPES:
         mesh = look.object_mesh(shape, (extent, extent, extent))

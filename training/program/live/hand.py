@@ -1,6 +1,4 @@
-"""Page of a simulated hand in real time: the user pulls and changes the object while the hand holds
-it.
-"""
+"""Page of a simulated hand: the user pulls and changes the object that it holds."""
 
 from __future__ import annotations
 
@@ -201,9 +199,7 @@ class SimulatedHand(Window):
         self._change_object(item.mass, item.friction)
 
     def _drag(self, event: Any) -> None:
-        """Grab the object where the mouse met it, and pull it towards the mouse in the plane of the
-        screen.
-        """
+        """Grab the object under the mouse, and pull it in the plane of the screen."""
         snapshot = self.stage.scene.look()
         if event.phase == "start":
             self.grip = snapshot.rotation.T @ (

@@ -39,9 +39,7 @@ _CONE_HEIGHT, _CONE_SIDES = 0.3, 40
 
 
 def add_body(scene: viser.SceneApi, mesh: trimesh.Trimesh, zoom: float) -> tuple[Any, Any]:
-    """Add a transparent body with its sharp edges, scaled by `zoom`; return its frame, which moves,
-    and its mesh.
-    """
+    """Add a transparent body with its sharp edges; return its frame, which moves, and its mesh."""
     bent = mesh.face_adjacency_angles > math.radians(30.0)
     edges = mesh.vertices[mesh.face_adjacency_edges[bent]] if bent.any() else np.zeros((1, 2, 3))
     frame = scene.add_frame("/object", show_axes=False)
@@ -109,8 +107,7 @@ class Contacts:
 
 
 def screw(twist: Array, centre: Array, extent: float) -> Array:
-    """Return the screw of a twist as arrows (6, 2, 3): its axis, and a ring about it that is larger
-    the more the motion is a rotation.
+    """Return the screw of a twist as arrows (6, 2, 3): its axis and a ring, larger with rotation.
 
     Args:
         twist: (6,) velocity of the origin and angular velocity, of any scale.
@@ -132,9 +129,7 @@ def screw(twist: Array, centre: Array, extent: float) -> Array:
 
 
 def object_mesh(shape: str, size: Sequence[float]) -> trimesh.Trimesh:
-    """Return the mesh of a "cuboid", "sphere", "cylinder" or "capsule" of an `ObjectDescription`'s
-    size [m], body frame.
-    """
+    """Return a cuboid, sphere, cylinder or capsule of an `ObjectDescription`'s size [m]."""
     if shape == "cuboid":
         return creation.box(size)
     if shape == "sphere":
@@ -150,9 +145,7 @@ def object_mesh(shape: str, size: Sequence[float]) -> trimesh.Trimesh:
 
 
 def link_meshes(bodies: Sequence[Link | Palm]) -> list[list[tuple[trimesh.Trimesh, Color]]]:
-    """Return meshes and colours of links, link frame [m]: their visual shapes, or collision shapes
-    if those are missing or too large.
-    """
+    """Return meshes [m] and colours of links, link frame: visual or else collision shapes."""
     looks = read_looks(
         shape.file for body in bodies for shape in body.visual if shape.kind == "mesh"
     )

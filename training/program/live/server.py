@@ -20,8 +20,7 @@ _OWN_HOST = re.compile(r"(127\.0\.0\.1|localhost)(:\d+)?")
 
 
 class LocalServer(viser.ViserServer):
-    """Viser server that listens on 127.0.0.1, refuses pages of other sites, and is never shared
-    over the internet.
+    """Viser server on 127.0.0.1 that refuses pages of other sites and is never shared.
 
     Args:
         port: port to listen on; if it is taken, the next free one, with a note on stderr; 0: any
@@ -74,9 +73,7 @@ def is_own_page(headers: Headers) -> bool:
 
 @contextmanager
 def _guarded() -> Iterator[list[Any]]:
-    """Make any server that viser starts in the block check every request, and list these guards;
-    viser has no setting for it.
-    """
+    """Make any server that viser starts in the block check every request; list these guards."""
     module: Any = websockets.asyncio.server
     serve = module.serve
     guards = []

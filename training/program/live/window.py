@@ -68,9 +68,7 @@ class Window:
     def on(
         self, register: Callable[[Any], object], act: Callable[[Any], object] = lambda event: None
     ) -> None:
-        """Call `act` with each event, then draw; `register` is a handle's `on_update`, `on_click`
-        or `on_drag`.
-        """
+        """Call `act` with each event, then draw; `register` is a handle's `on_click` or such."""
 
         async def note(event: Any) -> None:  # viser keeps the order of coroutines only
             self._acts.put(partial(act, event))
@@ -78,9 +76,7 @@ class Window:
         register(note)
 
     def look_at(self, low: Array, high: Array) -> None:
-        """Place the initial camera, the floor and the status label for a box between two corners
-        (3,), scene units.
-        """
+        """Place camera, floor and status label for a box between two corners (3,), scene units."""
         centre = 0.5 * (low + high)
         size = float(np.linalg.norm(high - low))
         camera = self.server.initial_camera
@@ -103,9 +99,7 @@ class Window:
         facts: Mapping[str, str],
         advice: Iterable[str],
     ) -> None:
-        """Show an answer: status, explanation, names and numbers (N,) of the contacts, further
-        facts, and advice.
-        """
+        """Show status, explanation, the contacts' names and numbers (N,), facts and advice."""
         title = f'<b style="font-size:17px">{_dot(MOODS[mood])}{html.escape(status)}</b>'
         notes = "".join(
             f"<p>{html.escape(text)}</p>" for text in (words, *(f"⚠ {text}" for text in advice))
@@ -123,9 +117,7 @@ class Window:
         self._status.text = "" if mood == "good" else status
 
     def run(self, seconds: float = math.inf, record: Path | None = None) -> None:
-        """Show the page for `seconds` or until ctrl-C, then close it; `record` is an .html file to
-        record into.
-        """
+        """Show the page for `seconds` or until ctrl-C; `record` is an .html file to record into."""
         end = time.monotonic() + seconds
         hint = f"up to {MAX_RECORDED:.0f} s, to one HTML file in this folder"
         self._button, self._note = (
