@@ -31,7 +31,7 @@ def factory():
 
 @pytest.fixture(scope="module")
 def starts(factory):
-    return factory.made()
+    return factory.all_starts()
 
 
 @pytest.fixture(scope="module")
@@ -133,7 +133,7 @@ def test_a_start_that_does_not_apply_has_no_row_and_one_that_fails_has_one():
         raise ValueError("many words " * 30)
 
     cases = make_cases("random_5", 12, 0)
-    more = StartContext(PHI, {"boom": boom, "flat": lambda grasp, load: np.ones(3)}).made()
+    more = StartContext(PHI, {"boom": boom, "flat": lambda grasp, load: np.ones(3)}).all_starts()
     rows = table(trials("random_5", cases, {**more, "lagrange": ComparedStart(never, {})}, PHI))
     for key in ("learned_fixed", "nearest_tangent", "previous_tangent", "network"):
         assert of(rows, key).empty
@@ -161,7 +161,7 @@ def test_invalid_forces_are_told_from_each_other():
             grasp, load, np.tile([10.0, 0.0, 0.0], (grasp.n_contacts, 1))
         ),
     }
-    made = StartContext(PHI, given).made()
+    made = StartContext(PHI, given).all_starts()
     some = {key: made[key] for key in ("single_value", "linear_combination", *given)}
     cases = make_cases("ball", 5, 0)
     rows = table(trials("ball", cases, some, PHI))
@@ -193,7 +193,7 @@ def test_the_nearest_stored_solution_is_that_of_its_wrench_and_optima_are_of_the
 
 def test_slopes_are_differences_along_a_path():
     grasp = presets.paper_cuboid()
-    start = StartContext(PHI).named("linear_combination")
+    start = StartContext(PHI).by_name("linear_combination")
     loads = np.array([[1, 0, 0, 0, 0, 0], [1, 0, 0, 0, 0, 0.05], [0, 0, 0, 0, 0, 0.05]], float)
     cases = [
         Case(grasp, loads[0]),

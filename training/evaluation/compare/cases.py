@@ -87,14 +87,9 @@ def directions() -> list[tuple[str, Array]]:
         ['+x', '-z', '+mz', '+mx+my']
     """
     unit = np.diag([1.0, 1.0, 1.0, MOMENT_RADIUS, MOMENT_RADIUS, MOMENT_RADIUS])
-    single = [
-        (f"{sign}{_AXES[k]}", (1.0 if sign == "+" else -1.0) * unit[k])
-        for k in range(6)
-        for sign in "+-"
-    ]
-    return single + [
-        (f"+{_AXES[a]}+{_AXES[b]}", (unit[a] + unit[b]) / np.sqrt(2.0)) for a, b in _PAIRS
-    ]
+    single = [(f"{sign}{_AXES[k]}", float(f"{sign}1") * unit[k]) for k in range(6) for sign in "+-"]
+    pairs = [(f"+{_AXES[a]}+{_AXES[b]}", (unit[a] + unit[b]) / np.sqrt(2.0)) for a, b in _PAIRS]
+    return single + pairs
 
 
 def trajectory(rng: np.random.Generator, samples: int, rate: float = 100.0) -> Array:
@@ -167,8 +162,7 @@ def _jumps(size: float, rng: np.random.Generator, count: int) -> list[Case]:
 
 def _lines(rng: np.random.Generator, count: int) -> list[Array]:
     """Make straight lines through the ball along which every component changes its sign once."""
-    number = max(1, count // _LINE)
-    ends = wrench.sample_ball(rng, 2 * number).reshape(2, number, 6)
+    ends = wrench.sample_ball(rng, 2 * max(1, count // _LINE)).reshape(2, -1, 6)
     ends[1] = -np.sign(ends[0]) * np.abs(ends[1])
     share = np.linspace(0.0, 1.0, _LINE)[:, None]
     return [a + share * (b - a) for a, b in zip(ends[0], ends[1], strict=True)]
@@ -186,11 +180,12 @@ def _frictions(rng: np.random.Generator, count: int) -> list[Case]:
 def _ball_frictions(rng: np.random.Generator, count: int) -> list[Case]:
     """Make cold starts on the ball; their frictions are stratified over the trained range."""
     low, high = TRAINED
-    drawn = low + (high - low) * (np.arange(_LEVELS) + rng.random(_LEVELS)) / _LEVELS
-    grasps = [presets.paper_cuboid().with_friction(mu) for mu in drawn.tolist()]
+    frictions = low + (high - low) * (np.arange(_LEVELS) + rng.random(_LEVELS)) / _LEVELS
+    grasps = [presets.paper_cuboid().with_friction(mu) for mu in frictions.tolist()]
+    levels = np.arange(count) % _LEVELS
     return [
-        Case(grasps[k % _LEVELS], load, None, k % _LEVELS, f"{drawn[k % _LEVELS]:.3f}")
-        for k, load in enumerate(wrench.sample_ball(rng, count))
+        Case(grasps[level], load, None, level, f"{frictions[level]:.3f}")
+        for level, load in zip(levels.tolist(), wrench.sample_ball(rng, count), strict=True)
     ]
 
 
@@ -198,11 +193,8 @@ def _positions(rng: np.random.Generator, count: int) -> list[Case]:
     cases = list[Case]()
     fixed = presets.paper_cuboid()
     for group in range(max(1, count // _PER_GRASP)):
-        cases += path_cases(
-            slide_contacts(rng, fixed, 0.0, DISPLACEMENT),
-            wrench.sample_ball(rng, _PER_GRASP),
-            group,
-        )
+        grasp = slide_contacts(rng, fixed, 0.0, DISPLACEMENT)
+        cases += path_cases(grasp, wrench.sample_ball(rng, _PER_GRASP), group)
     return cases
 
 

@@ -28,6 +28,8 @@ from training.evaluation.results.run import SHARDS, Run, check_counts
 from training.evaluation.results.shards import map_shards
 from training.evaluation.results.table import join, pd, table
 
+Call = Callable[[int], object]
+"""Function of the number of a problem, to be timed."""
 WARM_UP = 20
 """Warm-up calls before each timing."""
 TIMED_SETS = ("ball", "ball_frictions")
@@ -89,8 +91,8 @@ def run(
 ) -> tuple[pd.DataFrame, dict[str, Any]]:
     """Run the comparison; return its rows, and the settings for run.json.
 
-    `folder` keeps finished shards; for `on` and `workers` see `map_shards`. Times are measured in
-    this process alone.
+    `folder` keeps finished shards; for `on` and `workers` see `map_shards`, and for times
+    `time_calls`.
     """
     config = config.resolved()
     objective = Objective()
@@ -140,50 +142,49 @@ def plan(given: Given) -> list[str]:
 def work(shard: Shard) -> pd.DataFrame:
     """Return the rows of a shard; this runs in a worker."""
     config = shard.config
-    rules, made = _made(shard.given, shard.objective)
+    rules, starts = _starts(shard.given, shard.objective)
     if shard.name.startswith("holds/"):
         _, scenario, start = shard.name.split("/")
         rule = HELD_WITH.get(start) or rules.get(start) or StartContext(shard.objective).model
         return table(
             hold_of_start(scenario, start, rule, config.episodes, config.seed, config.steps)
         )
-    which = SETS[shard.name]
-    starts = _looked_at(shard.name, made, rules)
+    starts = _evaluated(shard.name, starts, rules)
     cases = make_cases(shard.name, config.wrenches, config.seed)
-    rows = trials(shard.name, cases, starts, shard.objective, which.solved)
+    rows = trials(shard.name, cases, starts, shard.objective, SETS[shard.name].solved)
     return table({**row, "seed": config.seed} for row in rows)
 
 
 @cache
-def _made(
+def _starts(
     given: Given, objective: Objective
 ) -> tuple[Mapping[str, InitialForceRule], dict[str, ComparedStart]]:
     rules = given.unpack()
-    return rules, StartContext(objective, rules).made()
+    return rules, StartContext(objective, rules).all_starts()
 
 
-def _looked_at(
-    name: str, made: Mapping[str, ComparedStart], given: Mapping[str, InitialForceRule]
+def _evaluated(
+    name: str, starts: Mapping[str, ComparedStart], given: Mapping[str, InitialForceRule]
 ) -> dict[str, ComparedStart]:
     """Return the starts that are evaluated on a set."""
     only = SETS[name].starts
-    return {key: one for key, one in made.items() if not only or key in only or key in given}
+    return {key: start for key, start in starts.items() if not only or key in {*only, *given}}
 
 
 def time_calls(name: str, config: StartsConfig, given: Given, objective: Objective) -> pd.DataFrame:
     """Time every start on wrenches of a set [us]: the best of the repeats; the starts take turns.
 
     All calls of one start on one grasp are made in a row, so code and data are in the cache as in a
-    control loop that does nothing else. The previous solution is that of the wrench before, as in a
-    loop. A call that raises has no time.
+    control loop. The previous solution is that of the wrench before. A call that raises has no
+    time.
 
     Returns:
         Columns case, problem, start, method, microseconds (the whole public call),
-        start_microseconds (the start alone) and, of starts
-        that the core makes from the wrench alone, compiled_microseconds (the call without Python).
+        start_microseconds (the start alone) and, of starts that the core makes from the wrench
+        alone, compiled_microseconds (the call without Python).
     """
-    rules, every = _made(given, objective)
-    made = _looked_at(name, every, rules)
+    rules, starts = _starts(given, objective)
+    starts = _evaluated(name, starts, rules)
     cases = make_cases(name, config.wrenches, config.seed)[: config.timed]
     blocks: dict[Grasp, list[int]] = {}
     for k, case in enumerate(cases):
@@ -194,11 +195,9 @@ def time_calls(name: str, config: StartsConfig, given: Given, objective: Objecti
         for k in block:
             optima[k] = newton.solve(cases[k].wrench).force
     before = {k: block[place - 1] for block in blocks.values() for place, k in enumerate(block)}
-    calls: dict[
-        tuple[str, str], tuple[Callable[[int], object], Callable[[int], object] | None]
-    ] = {}
+    calls: dict[tuple[str, str], tuple[Call, Call | None]] = {}
     compiled = dict[tuple[str, str], np.ndarray]()
-    for key, start in made.items():
+    for key, start in starts.items():
 
         def alone(k: int, start: ComparedStart = start) -> ContactForces:
             return start.start(cases[k].grasp, cases[k].wrench, optima[before[k]])
@@ -219,10 +218,11 @@ def time_calls(name: str, config: StartsConfig, given: Given, objective: Objecti
                 compiled[key, method] = best = np.empty(len(cases))
                 for grasp, block in blocks.items():
                     core = loops[grasp].core
-                    found = np.empty(len(block))
+                    seconds = np.empty(len(block))
+                    records = np.empty((len(block), core.size))
                     loads = np.array([cases[k].wrench for k in block])
-                    core.times(loads, 2 + config.repeats, np.empty((len(block), core.size)), found)
-                    best[block] = 1e6 * found
+                    core.times(loads, 2 + config.repeats, records, seconds)
+                    best[block] = 1e6 * seconds
     best_of = {who: np.full((2, len(cases)), np.inf) for who in calls}
     collecting = gc.isenabled()
     try:
@@ -238,6 +238,7 @@ def time_calls(name: str, config: StartsConfig, given: Given, objective: Objecti
     finally:
         if collecting:
             gc.enable()
+    missing = np.full(len(cases), np.nan)
     return table(
         {
             "case": name,
@@ -246,16 +247,14 @@ def time_calls(name: str, config: StartsConfig, given: Given, objective: Objecti
             "method": method,
             "microseconds": total[k],
             "start_microseconds": best_of[start, FLOW][1][k],
-            "compiled_microseconds": compiled[start, method][k]
-            if (start, method) in compiled
-            else np.nan,
+            "compiled_microseconds": compiled.get((start, method), missing)[k],
         }
         for (start, method), (total, _) in best_of.items()
         for k in range(len(cases))
     ).replace(np.inf, np.nan)
 
 
-def _time(call: Callable[[int], object], best: np.ndarray, block: list[int], counted: bool) -> None:
+def _time(call: Call, best: np.ndarray, block: list[int], counted: bool) -> None:
     """Warm up on a block of problems; if `counted`, keep the shortest times [us] in `best` (n,)."""
     for k in range(WARM_UP):
         with suppress(Exception):  # a user's rule may raise; the trials count its errors

@@ -9,7 +9,6 @@ import os
 import pickle
 import re
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import reduce
 from pathlib import Path
@@ -53,9 +52,9 @@ class Given:
         names = [name for name, _ in origins]
         with AllFaults() as check:
             check(_check_names, names)
-            made = {text.partition("=")[0]: check(_start, text) for text in starts}
+            rules = {text.partition("=")[0]: check(_start, text) for text in starts}
         try:
-            packed = cloudpickle.dumps(made)
+            packed = cloudpickle.dumps(rules)
         except Exception as error:
             raise InvalidInputError(
                 f"the starts {', '.join(names)} cannot be sent to the worker processes ({type(error).__name__}: "
@@ -69,8 +68,7 @@ class Given:
 
 
 def _check_names(names: list[str]) -> None:
-    wrong = [name for name in names if not _NAME.fullmatch(name)]
-    if wrong:
+    if wrong := [name for name in names if not _NAME.fullmatch(name)]:
         raise InvalidInputError(
             f"a start needs a name of letters, digits, - and _, at most 40, a letter first, got "
             f"{', '.join(map(shown, wrong))}: give {START}"
@@ -91,23 +89,16 @@ def model_path(what: str) -> Path | None:
     if os.path.isdir(what):
         stems = sorted(path.with_suffix("") for path in Path(what).glob("*.safetensors"))
         if len(stems) != 1:
-            held = (
-                f"holds {', '.join(stem.name for stem in stems)}"
-                if stems
-                else "holds no saved model"
-            )
+            names = ", ".join(stem.name for stem in stems) or "no saved model"
             raise InvalidInputError(
-                f"the folder {what} {held}: give the path of one that `grasp fit` saved, or {START}"
+                f"the folder {what} holds {names}: give the path of one that `grasp fit` saved, or {START}"
             )
         return stems[0]
-    return (
-        Path(what)
-        if what.endswith((".json", ".safetensors")) or os.path.isfile(f"{what}.json")
-        else None
-    )
+    is_model = what.endswith((".json", ".safetensors")) or os.path.isfile(f"{what}.json")
+    return Path(what) if is_model else None
 
 
-def _start(text: str) -> InitialForceRule:
+def _start(text: str) -> Any:
     what = text.partition("=")[2]
     path = model_path(what)
     if path is not None:
@@ -116,34 +107,28 @@ def _start(text: str) -> InitialForceRule:
         raise InvalidInputError(
             f"--start {text}: no such file or saved model is there (nor {what}.json): give {START}"
         )
-    made = _instance(_read(text), f"--start {text}")
-    if not callable(made):
+    rule = _read(text)
+    if inspect.isclass(rule):
+        try:
+            rule = rule()
+        except Exception as error:
+            raise InvalidInputError(
+                f"--start {text} is a class that cannot be made without arguments ({type(error).__name__}: {str(error)[:200]}): name an "
+                "instance of it"
+            ) from error
+    if not callable(rule):
         raise InvalidInputError(
-            f"--start {text} is no rule but of type {type(made).__name__}: a rule takes (grasp, wrench) and returns an (N, 3) force"
+            f"--start {text} is no rule but of type {type(rule).__name__}: a rule takes (grasp, wrench) and returns an (N, 3) force"
         )
-    rule: Callable[..., Any] = made
     return rule
-
-
-def _instance(made: Any, what: str) -> Any:
-    """Return the object, or of a class an instance made without arguments."""
-    if not inspect.isclass(made):
-        return made
-    try:
-        return made()
-    except Exception as error:
-        raise InvalidInputError(
-            f"{what} is a class that cannot be made without arguments ({type(error).__name__}: {str(error)[:200]}): name an "
-            "instance of it"
-        ) from error
 
 
 def _read(text: str) -> Any:
     """Load the object that NAME=module:object or NAME=file.py:object names."""
-    place, _, attribute = text.partition("=")[2].rpartition(":")
-    if not place or not attribute:
+    source, _, attribute = text.partition("=")[2].rpartition(":")
+    if not source or not attribute:
         raise InvalidInputError(f"--start {text} names nothing: give {START}")
-    module = _imported(place, f"--start {text}")
+    module = _imported(source, f"--start {text}")
     try:
         return reduce(getattr, attribute.split("."), module)
     except AttributeError:
@@ -153,20 +138,20 @@ def _read(text: str) -> Any:
             if callable(value) and not key.startswith("_")
         ]
         raise InvalidInputError(
-            f"--start {text}: {place} has no {attribute!r}; it has {', '.join(callables[:20]) or 'nothing that can be called'}"
+            f"--start {text}: {source} has no {attribute!r}; it has {', '.join(callables[:20]) or 'nothing that can be called'}"
         ) from None
 
 
-def _imported(place: str, context: str) -> ModuleType:
+def _imported(source: str, context: str) -> ModuleType:
     """Import an installed module, one of the working directory, or a file (pickled by value)."""
     # as with `python -m`; at the end, where it hides no other module
     if os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())
     try:
-        if not place.endswith(".py"):
-            return importlib.import_module(place)
-        name = "given_" + re.sub(r"\W", "_", os.path.abspath(place))
-        spec = importlib.util.spec_from_file_location(name, place)
+        if not source.endswith(".py"):
+            return importlib.import_module(source)
+        name = "given_" + re.sub(r"\W", "_", os.path.abspath(source))
+        spec = importlib.util.spec_from_file_location(name, source)
         assert spec is not None
         assert spec.loader is not None
         # dataclasses look up their module there
@@ -175,10 +160,9 @@ def _imported(place: str, context: str) -> ModuleType:
         cloudpickle.register_pickle_by_value(module)
         return module
     except Exception as error:
-        missing = isinstance(error, FileNotFoundError) or (
-            isinstance(error, ModuleNotFoundError) and (error.name or "") in place
-        )
         why = f"fails with {type(error).__name__}: {str(error)[:200]}"
-        if missing:
+        if isinstance(error, FileNotFoundError) or (
+            isinstance(error, ModuleNotFoundError) and (error.name or "") in source
+        ):
             why = "is not there: neither in the working directory nor installed"
-        raise InvalidInputError(f"{context}: {place} {why}; give {START}") from error
+        raise InvalidInputError(f"{context}: {source} {why}; give {START}") from error

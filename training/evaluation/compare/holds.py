@@ -75,16 +75,12 @@ class HoldsConfig:
     objects: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        def hand(name: str) -> None:
-            if not os.path.isfile(name):
-                choice(
-                    name, "hand", HANDS, ", or the path of a URDF, xacro or MJCF file that exists"
-                )
-
+        hint = ", or the path of a URDF, xacro or MJCF file that exists"
         with AllFaults() as check:
             check(check_counts, self, {"episodes": 0, "seed": 0})
             for name in self.hands:
-                check(hand, name)
+                if not os.path.isfile(name):
+                    check(choice, name, "hand", HANDS, hint)
             for name in self.engines:
                 check(choice, name, "engine", ENGINES)
         for what, names in (
@@ -125,9 +121,8 @@ def run(
     `workers` see `map_shards`.
     """
     plan = config.plan() if plan is None else plan
-    for name in {
-        ENGINES[engine]["engine"]["name"] for scenario in plan for engine in scenario.engines
-    }:
+    engines = {engine for scenario in plan for engine in scenario.engines}
+    for name in {ENGINES[engine]["engine"]["name"] for engine in engines}:
         class_of(engine_of(name), "simulator")  # reports a missing engine here, not in the workers
     for name in config.hands:
         if name not in HANDS:
@@ -221,15 +216,15 @@ def trial(
 def draw_object(seed: int, config: EnvConfig) -> tuple[ObjectDescription, np.ndarray, int]:
     """Draw the random object of a seed within reach of the hand, in the ranges of `randomize`.
 
-    Returns the object, its contact points (N, 3) [m] in the object frame, and the number of objects
-    drawn before it without a grasp. None of these depends on the controller or the engine. A hand
-    without a fixed pose is placed anew for every object: no points.
+    Return the object, its contact points (N, 3) [m] in the object frame, and the number of objects
+    drawn before it without a grasp. None of these depends on the controller or the engine. There
+    are no points for a hand without a fixed pose, which is placed anew for every object.
     """
     rng = np.random.default_rng([seed, 0x0B1EC7])
     kinematics = _kinematics(config.hand)
-    drawn = EnvConfig().override(randomize={**RANDOM_OBJECT, **dict(config.randomize)})
+    ranges = EnvConfig().override(randomize={**RANDOM_OBJECT, **dict(config.randomize)})
     for redrawn in range(_REDRAWS):
-        item = drawn.drawn(rng).object
+        item = ranges.drawn(rng).object
         if not kinematics.hand.placed:
             return item, np.zeros((0, 3)), 0
         try:
@@ -255,27 +250,25 @@ def episode_columns(infos: Sequence[dict[str, Any]]) -> dict[str, Any]:
     last = infos[-1]
     held = bool(last["is_success"])
     cut = any(info["saturated"] and info["drift"] < _IN_PLACE for info in infos[-_BEFORE:])
-    kept = {
+    if_held = {
         "drift": 1e3 * max(info["drift"] for info in infos),
         "tilt": float(np.degrees(max(info["tilt"] for info in infos))),
         "slip": 1e3 * last["slip_distance"],
     }
-    columns: dict[str, tuple[Callable[[Any], Any], str]] = {
-        "force_error": (np.mean, "force_error"),
-        "stray_force": (max, "stray_force"),
-        "torque_margin": (min, "torque_margin"),
-        "limited": (sum, "limited"),
-        "saturated": (np.mean, "saturated"),
-        "iterations": (np.mean, "iterations"),
+    columns: dict[str, Callable[[Any], Any]] = {
+        "force_error": np.mean,
+        "stray_force": max,
+        "torque_margin": min,
+        "limited": sum,
+        "saturated": np.mean,
+        "iterations": np.mean,
     }
-    numbers = {
-        name: float(how([info[key] for info in infos])) for name, (how, key) in columns.items()
-    }
+    numbers = {name: float(over([info[name] for info in infos])) for name, over in columns.items()}
     return {
         "held": held,
         "failure": None if held else "torque" if cut else str(last["fault"]),
         "status": str(last["status"]),
-        **(kept if held else {}),
+        **(if_held if held else {}),
         **numbers,
         "iterations": round(numbers["iterations"]),
         "limited": round(numbers["limited"]),
@@ -296,7 +289,7 @@ def episode_columns(infos: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 def _object(config: EnvConfig, info: dict[str, Any] | None = None) -> dict[str, Any]:
     item = config.object
-    size = [*config.object.size, None, None, None][:3]
+    size = [*item.size, None, None, None][:3]
     return {
         "shape": info["object_shape"] if info else item.shape,
         **dict(zip(("size_x", "size_y", "size_z"), size, strict=True)),
@@ -319,12 +312,12 @@ def _print_repairs(read: Callable[[], Any]) -> None:
 
 
 def _speeds(plan: Sequence[Scenario]) -> dict[str, float]:
-    """Measure agent steps per second of every hand in every engine: the best round."""
+    """Measure agent steps per second of every hand in every engine: its first scenario's best."""
     first: dict[str, dict[str, Any]] = {}
     for scenario in plan:
         for engine in scenario.engines:
-            hand = f"{scenario.keys.get('hand', 'four_finger')}, {engine}"
-            first.setdefault(hand, {**scenario.settings, **ENGINES[engine]})
+            name = f"{scenario.keys.get('hand', 'four_finger')}, {engine}"
+            first.setdefault(name, {**scenario.settings, **ENGINES[engine]})
     out: dict[str, float] = {}
     for name, settings in first.items():
         with (

@@ -45,32 +45,32 @@ def record(
     """
     seeds = rng.integers(0, 2**31, episodes).tolist()
     paper = LinearCombination()
-    noted = list[Problem]()
+    recording = list[Problem]()
 
     def rule(grasp: Grasp, wrench: Wrench) -> ContactForces:
-        noted.append((grasp, np.array(wrench)))
+        recording.append((grasp, np.array(wrench)))
         return paper(grasp, wrench)
 
-    found: list[list[Problem]] = [[] for _ in range(episodes)]
-    own = {
+    problems: list[list[Problem]] = [[] for _ in range(episodes)]
+    keywords = {
         "disturbance": disturbance,
         "initial_force": rule,
         "duration": STEPS / 50,
         **(settings or RANDOM_OBJECTS),
     }
     for place, hand in enumerate(hands):
-        with closing(FourFingerGrasp(hand=hand, **own)) as env:
+        with closing(FourFingerGrasp(hand=hand, **keywords)) as env:
             for k in range(place, episodes, len(hands)):
                 running = episode(env, seeds[k], most=steps)
-                noted = found[k]
+                recording = problems[k]
                 deque(running, maxlen=0)
-                noted = []  # for the problems of closing the fingers, which do not count
-    return found
+                recording = []  # for the problems of closing the fingers, which do not count
+    return problems
 
 
 def _cold(rng: np.random.Generator, count: int) -> list[Case]:
-    found = record(count, rng, "random", steps=1)
-    return [Case(*problems[0], None, k, "cold") for k, problems in enumerate(found) if problems]
+    episodes = record(count, rng, "random", steps=1)
+    return [Case(*problems[0], None, k, "cold") for k, problems in enumerate(episodes) if problems]
 
 
 def _moving(rng: np.random.Generator, count: int) -> list[Case]:
@@ -84,15 +84,16 @@ def _moving(rng: np.random.Generator, count: int) -> list[Case]:
 def _changes(rng: np.random.Generator, count: int) -> list[Case]:
     cases = list[Case]()
     for k, problems in enumerate(record(max(len(HANDS), -(-count // 8)), rng, "impulses")):
-        for i in rng.choice(len(problems) - 1, min(4, len(problems) - 1), replace=False).tolist():
+        pairs = len(problems) - 1
+        for i in rng.choice(pairs, min(4, pairs), replace=False).tolist():
             cases += changes_of(rng, problems[i], problems[i + 1], k)
     return cases
 
 
-def _impulses(rng: np.random.Generator, count: int, **own: Any) -> list[Case]:
+def _impulses(rng: np.random.Generator, count: int, **keywords: Any) -> list[Case]:
     return [
         Case(*now, old, k, "impulse")
-        for k, problems in enumerate(record(-(-count // 5), rng, "impulses", **own))
+        for k, problems in enumerate(record(-(-count // 5), rng, "impulses", **keywords))
         for old, now in pairwise(problems)
         if _distance(old[1], now[1]) >= IMPACT
     ]
@@ -114,8 +115,7 @@ They return fewer cases than requested only if the roll-outs have fewer.
 def changes_of(rng: np.random.Generator, old: Problem, now: Problem, group: int) -> list[Case]:
     """Return cases between two steps in which a finger is lost, lands or slips.
 
-    The finger that is lost is one without which the others still have force closure; hands with
-    three fingers only slip.
+    Without the lost finger the others still have force closure; hands with three fingers only slip.
     """
     cases = []
     count = now[0].n_contacts

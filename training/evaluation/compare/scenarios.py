@@ -193,26 +193,15 @@ def controllers_plan(episodes: int, quick: bool = False) -> list[Scenario]:
         swept: dict[str, float] | None = None,
     ) -> Scenario:
         swept = swept or {}
-        own = {
-            **settings,
-            **CONTROLLERS[key],
-            **{f"controller.{name}": value for name, value in swept.items()},
-        }
-        return Scenario(
-            case,
-            {"controller": key, **swept},
-            count,
-            own,
-            random_objects=not case.startswith("path"),
-        )
+        varied = {f"controller.{name}": value for name, value in swept.items()}
+        settings = {**settings, **CONTROLLERS[key], **varied}
+        keys = {"controller": key, **swept}
+        return Scenario(case, keys, count, settings, random_objects=not case.startswith("path"))
 
     plan = [scenario("objects", key, episodes, RANDOM_WRENCH) for key in CONTROLLERS]
-    plan += [
-        scenario(
-            "six_directions", key, episodes if key == "paper" else long, {"task": "six_directions"}
-        )
-        for key in CONTROLLERS
-    ]
+    for key in CONTROLLERS:
+        count = episodes if key == "paper" else long
+        plan.append(scenario("six_directions", key, count, {"task": "six_directions"}))
     for scale in (0.25, 1.0):  # deterministic: one episode suffices
         path = {"disturbance": {"name": "paper_path", "scale": scale}, "duration": 4.0}
         plan += [scenario(f"path_{scale:g}", key, 1, path) for key in CONTROLLERS]
@@ -245,42 +234,25 @@ def transfer_plan(hands: Sequence[str], episodes: int) -> list[Scenario]:
     for hand in hands:
         keys = {"hand": short_name(hand)}
         if hand != "four_finger":
-            plan.append(
-                Scenario(
-                    "weak", keys, episodes, {"hand": hand, **SMALL_OBJECTS, **WEAK_WRENCH}, BOTH
-                )
-            )
+            settings = {"hand": hand, **SMALL_OBJECTS, **WEAK_WRENCH}
+            plan.append(Scenario("weak", keys, episodes, settings, BOTH))
             continue
         third = max(1, episodes // 3)
-        safe = {"controller.friction_margin": 0.6}
-        wrong = {**ERRORS["friction"], **ERRORS["force"]}
+        models = (*BOTH, "bullet_1000", "noslip", "pyramidal", "soft")
         for case, engines, count, settings in (
-            ("objects", BOTH, episodes, RANDOM_WRENCH),
-            (
-                "contacts",
-                ("bullet", "mujoco", "bullet_1000", "noslip", "pyramidal", "soft"),
-                third,
-                RANDOM_WRENCH,
-            ),
-            (
-                "margin",
-                (*BOTH, "pyramidal", "soft"),
-                third,
-                {**RANDOM_WRENCH, "controller.friction_margin": 0.7},
-            ),
+            ("objects", BOTH, episodes, {}),
+            ("contacts", models, third, {}),
+            ("margin", (*BOTH, "pyramidal", "soft"), third, {"controller.friction_margin": 0.7}),
             ("six_directions", BOTH, third, {"task": "six_directions"}),
-            (
-                "estimated",
-                (*BOTH, "bullet_1000"),
-                episodes,
-                {**RANDOM_WRENCH, "sensors.wrench": "estimated"},
-            ),
-            ("friction_force", BOTH, third, {**RANDOM_WRENCH, **wrong, **safe}),
-            ("all_safe", BOTH, third, {**RANDOM_WRENCH, **ALL_ERRORS, **safe}),
-            ("squeeze", BOTH, third, {**RANDOM_WRENCH, "controller.kind": "constant_squeeze"}),
-            ("pd", BOTH, third, {**RANDOM_WRENCH, "controller.kind": "pd"}),
+            ("estimated", (*BOTH, "bullet_1000"), episodes, CONTROLLERS["estimated"]),
+            ("friction_force", BOTH, third, CURVES["mild"]),
+            ("all_safe", BOTH, third, CURVES["all"]),
+            ("squeeze", BOTH, third, CONTROLLERS["constant_squeeze"]),
+            ("pd", BOTH, third, CONTROLLERS["pd"]),
         ):
-            plan.append(Scenario(case, keys, count, {"hand": hand, **settings}, tuple(engines)))
+            wrench = {} if "task" in settings else RANDOM_WRENCH
+            settings = {"hand": hand, **wrench, **settings}
+            plan.append(Scenario(case, keys, count, settings, engines))
     return plan
 
 
@@ -302,8 +274,8 @@ def mesh_settings(text: str) -> tuple[str, dict[str, Any]]:
             f"object {text!r} must be FILE or FILE=SCALE, such as duck.obj=0.001"
         ) from None
     name = path.replace("\\", "/").rsplit("/", 1)[-1].rsplit(".", 1)[0]
-    alike = {name: OBJECTS["cube"][name] for name in ("mass", "friction")}
-    return name, {"object": {"shape": "mesh", "mesh": path, "size": size, **alike}}
+    body = {name: OBJECTS["cube"][name] for name in ("mass", "friction")}
+    return name, {"object": {"shape": "mesh", "mesh": path, "size": size, **body}}
 
 
 def hands_plan(
@@ -315,20 +287,21 @@ def hands_plan(
 
     Each random scenario has `episodes`, a deterministic one has one.
     """
-    meshes: list[Any] = [
-        ("mesh", {"object": name}, own) for name, own in map(mesh_settings, objects)
+    items: list[Any] = [
+        ("mesh", {"object": name}, settings) for name, settings in map(mesh_settings, objects)
     ]
+    items = items or [(item, {}, settings) for item, settings in OBJECTS.items()]
     return [
         Scenario(
             f"{item}_{push}",
             {"hand": short_name(hand), **keys},
             episodes if "random" in (item, push) else 1,
-            {"hand": hand, **own, **PUSHES[push]},
+            {"hand": hand, **settings, **PUSHES[push]},
             tuple(engines),
             item == "random",
         )
         for hand in hands
-        for item, keys, own in meshes or [(item, {}, own) for item, own in OBJECTS.items()]
+        for item, keys, settings in items
         for push in PUSHES
     ]
 

@@ -47,7 +47,7 @@ _FIXED = presets.paper_cuboid()
 class DoesNotApply(Exception):
     """Raised by a start that does not apply to this grasp, or needs a previous solution.
 
-    Such cases have no row.
+    The case is skipped.
     """
 
 
@@ -79,12 +79,13 @@ class ComparedStart:
 
 
 class StartContext:
-    """Maker of starts for one Phi; `given` are rules of a user by name, saved models among them."""
+    """Maker of starts for one Phi; `given` are a user's rules and saved models by name."""
 
     def __init__(
         self, objective: Objective, given: Mapping[str, InitialForceRule] | None = None
     ) -> None:
-        self.objective, self.given = objective, dict(given or {})
+        self.objective = objective
+        self.given = dict(given or {})
 
     @cached_property
     def model(self) -> LearnedInitialForce:
@@ -94,23 +95,21 @@ class StartContext:
     @cached_property
     def stored(self) -> tuple[Array, KDTree]:
         """Optimal forces (n, N, 3) of the fixed grasp, and a tree of their wrenches."""
-        loads = wrench.sample_magnitudes(
-            np.random.default_rng([HELD_OUT, 1 << 20]), STORED, *STORED_RANGE
-        )
+        rng = np.random.default_rng([HELD_OUT, 1 << 20])
+        loads = wrench.sample_magnitudes(rng, STORED, *STORED_RANGE)
         forces = optimize_forces(_FIXED, loads, workers=1, **vars(self.objective)).force
         return forces, KDTree(scaled(loads))
 
-    def made(self) -> dict[str, ComparedStart]:
+    def all_starts(self) -> dict[str, ComparedStart]:
         """Make every start of `STARTS`, then the package's other rules, then those of the user."""
-        named = {key: STARTS[key].make(self) for key in STARTS}
-        own = {
-            key: self.rule(rule.make(self.objective))
-            for key, rule in RULES.items()
-            if key not in named
+        starts = {
+            key: entry.make(self) if entry.make else self.by_name(key)
+            for key, entry in STARTS.items()
         }
-        return {**named, **own, **{key: self.rule(rule) for key, rule in self.given.items()}}
+        rules = {key: rule.make(self.objective) for key, rule in RULES.items() if key not in starts}
+        return starts | {key: self.rule(rule) for key, rule in {**rules, **self.given}.items()}
 
-    def named(self, name: str) -> ComparedStart:
+    def by_name(self, name: str) -> ComparedStart:
         """Make a start that optimizers know by name."""
         rule = (
             initial_rule(name, self.objective) if name in RULES else CoreRule(name, self.objective)
@@ -145,25 +144,23 @@ class StartContext:
         def rule(grasp: Grasp, load: Wrench) -> ContactForces:
             require_near_fixed(grasp)
             forces, tree = self.stored
-            return carry_over(
-                grasp, load, forces[int(tree.query(scaled(load))[1])], self.objective, correction
-            )
+            nearest = forces[int(tree.query(scaled(load))[1])]
+            return carry_over(grasp, load, nearest, self.objective, correction)
 
         return ComparedStart.of(rule)
 
     def stepped(self, rule: InitialForceRule | str, steps: int) -> ComparedStart:
         """Make another start followed by a few Newton steps, as a control for learned starts.
 
-        One such step equals the tangent correction of a previous optimum, so the other starts get
-        the same.
+        One such step equals the tangent correction of a previous optimum.
         """
         first = initial_rule(rule, self.objective) if isinstance(rule, str) else rule
 
-        def stepping(grasp: Grasp, load: Wrench) -> ContactForces:
+        def start(grasp: Grasp, load: Wrench) -> ContactForces:
             options = {"initial": first(grasp, load), "max_iterations": steps, "tolerance": 1e-12}
             return optimize_force(grasp, load, **options, **vars(self.objective)).force
 
-        return ComparedStart.of(stepping)
+        return ComparedStart.of(start)
 
     @property
     def network(self) -> InitialForceRule:
@@ -176,7 +173,7 @@ class StartContext:
 
         return rule
 
-    def remembering(self) -> ComparedStart:
+    def remembering_model(self) -> ComparedStart:
         """Make the shipped model that starts from the previous solution if that has less Phi."""
         return self.rule(type(self.model)(self.model.checkpoint, self.model.objective, True))
 
@@ -204,7 +201,7 @@ class StartEntry:
         label: name in tables.
         short: name in charts.
         colour: unique colour of its line.
-        make: makes the start.
+        make: makes the start; None: its key is a name that optimizers know.
         main: True if charts of a few starts show it.
         dashed: True if its line is dashed.
     """
@@ -212,45 +209,27 @@ class StartEntry:
     label: str
     short: str
     colour: str
-    make: Callable[[StartContext], ComparedStart]
+    make: Callable[[StartContext], ComparedStart] | None = None
     main: bool = False
     dashed: bool = False
 
 
 STARTS: dict[str, StartEntry] = {
-    "single_value": StartEntry(
-        "single value", "single value", "#8a8a8b", lambda context: context.named("single_value")
-    ),
+    "single_value": StartEntry("single value", "single value", "#8a8a8b"),
     "phase_one": StartEntry(
         "phase one, any force inside",
         "phase one",
         "#8a9a22",
         lambda context: ComparedStart.of(initial_rule("phase_one", context.objective)),
     ),
-    "lagrange": StartEntry(
-        "Lagrange", "Lagrange", "#b3852d", lambda context: context.named("lagrange")
-    ),
+    "lagrange": StartEntry("Lagrange", "Lagrange", "#b3852d"),
     "linear_combination_printed": StartEntry(
-        "12-basis, as printed",
-        "12-basis, printed",
-        "#5fa7e9",
-        lambda context: context.named("linear_combination_printed"),
-        dashed=True,
+        "12-basis, as printed", "12-basis, printed", "#5fa7e9", dashed=True
     ),
     "internal_force": StartEntry(
-        "one internal force (Newton's own)",
-        "internal force",
-        "#6b6b3f",
-        lambda context: context.named("internal_force"),
-        main=True,
+        "one internal force (Newton's own)", "internal force", "#6b6b3f", main=True
     ),
-    BASIS: StartEntry(
-        "12-basis (the paper, fixed at w = 0)",
-        "12-basis",
-        "#2f7fd8",
-        lambda context: context.named(BASIS),
-        main=True,
-    ),
+    BASIS: StartEntry("12-basis (the paper, fixed at w = 0)", "12-basis", "#2f7fd8", main=True),
     "basis_tangent": StartEntry(
         "12-basis, one Newton correction",
         "12-basis + Newton",
@@ -328,7 +307,7 @@ STARTS: dict[str, StartEntry] = {
         "learned, with the previous solution",
         "learned + previous",
         "#e2489a",
-        lambda context: context.remembering(),
+        lambda context: context.remembering_model(),
         main=True,
         dashed=True,
     ),
@@ -344,7 +323,7 @@ GIVEN_COLOURS = (
     "#bc6a20",
     "#7f7f20",
 )
-"""Colours of the starts of a user, in turn; their number is the most that a run compares."""
+"""Colours of a user's starts, in turn; a run compares no more starts than colours."""
 
 
 def start_info(key: str) -> StartEntry:
@@ -357,20 +336,14 @@ def start_info(key: str) -> StartEntry:
     if key in STARTS:
         return STARTS[key]
     name = RULES[key].label if key in RULES else key.replace("_", " ")
-    return StartEntry(
-        name,
-        name,
-        GIVEN_COLOURS[0],
-        lambda context: context.rule(context.given[key]),
-        main=True,
-        dashed=True,
-    )
+    return StartEntry(name, name, GIVEN_COLOURS[0], main=True, dashed=True)
 
 
 def as_solution(grasp: Grasp, force: ContactForces) -> ForceSolution:
     """Return a force (N, 3) as a previous solution; starts read only the force and the frames."""
     record = np.concatenate([np.zeros(record_size(len(force))), grasp.frames.reshape(-1)])
-    record[CONTACTS], record[FORCE : FORCE + force.size] = len(force), force.reshape(-1)
+    record[CONTACTS] = len(force)
+    record[FORCE : FORCE + force.size] = force.reshape(-1)
     return ForceSolution(record, Names("carried", "previous"))
 
 
@@ -389,8 +362,10 @@ class NetworkAlone:
         inside, outside = 0.0, 1.0
         for _ in range(40):
             middle = 0.5 * (inside + outside)
-            good = grasp.cone_margin(safe + middle * (raw - safe)) > 0.0
-            inside, outside = (middle, outside) if good else (inside, middle)
+            if grasp.cone_margin(safe + middle * (raw - safe)) > 0.0:
+                inside = middle
+            else:
+                outside = middle
         return safe + KEPT * inside * (raw - safe)
 
 
@@ -417,13 +392,13 @@ def carry_force(
         return force
     vectors = old.to_object_frame(force)
     weights = objective.weights(new.n_contacts)
-    apart = np.linalg.norm(new.positions[:, None] - old.positions, axis=2)
+    distances = np.linalg.norm(new.positions[:, None] - old.positions, axis=2)
     out = np.zeros((new.n_contacts, 3))
     out[:, 0] = np.sqrt(weights[:, 1] / weights[:, 0]) / new.friction
-    for _ in range(min(apart.shape)):
-        here, there = np.unravel_index(int(apart.argmin()), apart.shape)
-        if apart[here, there] > NEAR_PLACE:
+    for _ in range(min(distances.shape)):
+        here, there = np.unravel_index(int(distances.argmin()), distances.shape)
+        if distances[here, there] > NEAR_PLACE:
             break
         out[here] = new.frames[here].T @ vectors[there]
-        apart[here], apart[:, there] = np.inf, np.inf
+        distances[here] = distances[:, there] = np.inf
     return out

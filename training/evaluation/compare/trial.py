@@ -3,8 +3,8 @@
 Column `status` of a row:
 
 - "optimal": the relative gap of Phi reached `TOLERANCE`.
-- "iteration_limit", "stalled", ...: the method stopped before that. The value is its own status; if
-  it reported "optimal" by its own criterion without reaching `TOLERANCE`, the value is "stalled".
+- "iteration_limit", "stalled", ...: the status of a method that stopped before that; if it reported
+  "optimal" by its own criterion, the value is "stalled".
 - "no_start": the start is missing or invalid; `reason` says why.
 """
 
@@ -90,7 +90,7 @@ class Optimizers:
 
     def __init__(self, objective: Objective) -> None:
         self.objective = objective
-        self._made: dict[Grasp, dict[str, ForceOptimizer]] = {}
+        self._cache: dict[Grasp, dict[str, ForceOptimizer]] = {}
         self._cached_optimum: tuple[Grasp, Array, ContactForces, float] | None = None
 
     def optimum(self, grasp: Grasp, load: Array) -> tuple[ContactForces, float]:
@@ -111,13 +111,13 @@ class Optimizers:
             level: int(np.argmax(gaps <= level)) if gaps[-1] <= level else ITERATION_LIMIT + 1
             for level in (COARSE, TOLERANCE, FINE)
         }
-        ended = solution.status.value
+        status = solution.status.value
+        if reached[TOLERANCE] <= ITERATION_LIMIT:
+            status = "optimal"
+        elif status == "optimal":
+            status = "stalled"
         return {
-            "status": "optimal"
-            if reached[TOLERANCE] <= ITERATION_LIMIT
-            else "stalled"
-            if ended == "optimal"
-            else ended,
+            "status": status,
             "iterations": reached[TOLERANCE],
             "iterations_coarse": reached[COARSE],
             "iterations_fine": reached[FINE],
@@ -126,18 +126,15 @@ class Optimizers:
         }
 
     def _of(self, grasp: Grasp) -> dict[str, ForceOptimizer]:
-        if grasp not in self._made:
-            while len(self._made) > 3:
-                del self._made[next(iter(self._made))]
-            self._made[grasp] = {
-                "optimum": optimizer(grasp, "newton", self.objective, OPTIMUM_GAP)
-            } | {
-                method: optimizer(
-                    grasp, method, self.objective, END_GAP[method], max_iterations=ITERATION_LIMIT
-                )
-                for method in METHODS
-            }
-        return self._made[grasp]
+        if grasp not in self._cache:
+            while len(self._cache) > 3:
+                del self._cache[next(iter(self._cache))]
+            optimizers = {"optimum": optimizer(grasp, "newton", self.objective, OPTIMUM_GAP)}
+            options: dict[str, Any] = {"max_iterations": ITERATION_LIMIT}
+            for method, gap in END_GAP.items():
+                optimizers[method] = optimizer(grasp, method, self.objective, gap, **options)
+            self._cache[grasp] = optimizers
+        return self._cache[grasp]
 
 
 def trials(
@@ -152,7 +149,7 @@ def trials(
     Args:
         name: name of the set.
         cases: cases to solve.
-        starts: see `StartContext.made`; a start that does not apply to a case has no row there.
+        starts: see `StartContext.all_starts`; a start that does not apply to a case has no row there.
         objective: Phi.
         solved: True if the methods run; otherwise there is one row for each case and start.
     """
@@ -168,17 +165,16 @@ def trials(
         common = {"case": name, "problem": number, "group": case.group, "event": case.event or None}
         paper_force = _paper_start(starts, grasp, load)
         paper_phi = None if paper_force is None else objective.value(grasp.to_cone(paper_force))
-        for key, made in starts.items():
+        for key, start in starts.items():
             row = {**common, "start": key}
             try:
-                force = attempt(made, grasp, load, carried_force)
+                force = attempt(start, grasp, load, carried_force)
             except DoesNotApply:
                 continue
             except GraspError as error:
                 row |= {"status": "no_start", "reason": failure_reason(error)}
-                yield from (
-                    {**row, "method": method} for method in (METHODS if solved else (None,))
-                )
+                for method in METHODS if solved else (None,):
+                    yield {**row, "method": method}
                 continue
             quality = Quality.of(grasp, load, force, least_phi, objective)
             row |= quality.columns("start_")
@@ -196,18 +192,12 @@ def trials(
                 try:
                     run = optimizers.run(method, grasp, load, force, least_phi)
                 except InfeasibleStartError:  # outside the cones, or not balanced up to rounding
-                    yield {
-                        **row,
-                        "method": method,
-                        "status": "no_start",
-                        "reason": reason or "out of balance",
-                    }
-                    continue
+                    run = {"status": "no_start", "reason": reason or "out of balance"}
                 yield {**row, "method": method, **run}
 
 
 def attempt(
-    made: ComparedStart, grasp: Grasp, load: Array, carried_force: ContactForces | None
+    start: ComparedStart, grasp: Grasp, load: Array, carried_force: ContactForces | None
 ) -> ContactForces:
     """Return the force (N, 3) [N] of a start, which may be a user's.
 
@@ -221,7 +211,7 @@ def attempt(
     """
     try:
         return as_array(
-            made.start(grasp, load, carried_force), (grasp.n_contacts, 3), "a start", ranges.SIZE
+            start.start(grasp, load, carried_force), (grasp.n_contacts, 3), "a start", ranges.SIZE
         )
     except (DoesNotApply, GraspError):
         raise
@@ -256,5 +246,5 @@ def _slope(
     preceding, preceding_force = previous_start
     if preceding.group != case.group or not np.array_equal(preceding.wrench, case.before[1]):
         return float("nan")
-    way = float(np.linalg.norm(scaled(case.wrench - preceding.wrench)))
-    return float(np.linalg.norm(force - preceding_force)) / way if way > 0.0 else float("nan")
+    change = float(np.linalg.norm(scaled(case.wrench - preceding.wrench)))
+    return float(np.linalg.norm(force - preceding_force)) / change if change > 0.0 else float("nan")

@@ -7,7 +7,8 @@ returns.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from functools import partial
+from typing import Literal, get_args
 
 Kind = Literal["text", "whole", "real", "flag"]
 
@@ -38,9 +39,16 @@ def _key(text: str, kind: Kind = "text", unit: str = "") -> Column:
     return Column(kind, text, unit, key=True)
 
 
-_COUNTED = ("median", "p90", "p95", "p99", "max", "low", "high", "missing")
-_TIMED = ("median", "p90", "p99", "mean", "low", "high")
-_MEAN = ("mean", "mean_low", "mean_high", "max")
+def _column(
+    kind: Kind, text: str, unit: str = "", statistics: str = "", timed: bool = False
+) -> Column:
+    return Column(kind, text, unit, False, tuple(statistics.split()), timed)
+
+
+_text, _whole, _real, _flag = (partial(_column, kind) for kind in get_args(Kind))
+_COUNTED = "median p90 p95 p99 max low high missing"
+_TIMED = "median p90 p99 mean low high"
+_MEAN = "mean mean_low mean_high max"
 
 COLUMNS: dict[str, Column] = {
     # keys: rows with equal keys are repetitions of one experiment
@@ -76,355 +84,209 @@ COLUMNS: dict[str, Column] = {
     "division": _key("closed: the solver reads the problem alone; learned; open"),
     "batch": _key("problems in one call; its time is divided by their number", "whole"),
     # repetitions
-    "problem": Column("whole", "number of the problem, or of the repetition, within its case"),
-    "seed": Column("whole", "seed of the problem or episode"),
-    "training_seed": Column("whole", "seed with which the agent was trained"),
-    "step": Column("whole", "step of the episode"),
-    "group": Column("whole", "path, episode or grasp that the problem belongs to"),
-    "contact": Column("whole", "number of the contact; 0: the thumb"),
-    "event": Column("text", "event since the problem before, or name of the variant"),
+    "problem": _whole("number of the problem, or of the repetition, within its case"),
+    "seed": _whole("seed of the problem or episode"),
+    "training_seed": _whole("seed with which the agent was trained"),
+    "step": _whole("step of the episode"),
+    "group": _whole("path, episode or grasp that the problem belongs to"),
+    "contact": _whole("number of the contact; 0: the thumb"),
+    "event": _text("event since the problem before, or name of the variant"),
     # the optimisation
-    "status": Column(
-        "text",
-        "outcome: optimal, iteration_limit, stalled, no_start; of the benchmark of forces: solved, failed, infeasible",
+    "status": _text(
+        "outcome: optimal, iteration_limit, stalled, no_start; of the benchmark of forces: solved, failed, infeasible"
     ),
-    "reason": Column("text", "reason why there is no start or no answer"),
-    "iterations": Column(
-        "whole",
+    "reason": _text("reason why there is no start or no answer"),
+    "iterations": _whole(
         "accepted steps; in comparisons of starts to a relative gap of 1e-4, with 5001 if it is not reached in 5000",
-        "",
-        False,
-        _COUNTED,
+        statistics=_COUNTED,
     ),
-    "iterations_coarse": Column(
-        "whole", "accepted steps to a relative gap of 1e-2", "", False, ("median", "p99")
+    "iterations_coarse": _whole(
+        "accepted steps to a relative gap of 1e-2", statistics="median p99"
     ),
-    "iterations_fine": Column(
-        "whole", "accepted steps to a relative gap of 1e-6", "", False, ("median", "p99")
+    "iterations_fine": _whole("accepted steps to a relative gap of 1e-6", statistics="median p99"),
+    "trials": _whole(
+        "steps tried in the whole run, including rejected ones", statistics="median p99"
     ),
-    "trials": Column(
-        "whole",
-        "steps tried in the whole run, including rejected ones",
-        "",
-        False,
-        ("median", "p99"),
+    "microseconds": _real("one whole call, best of the repeats", "us", _TIMED, timed=True),
+    "compiled_microseconds": _real(
+        "the same in the core, without Python", "us", _TIMED, timed=True
     ),
-    "microseconds": Column(
-        "real", "one whole call, best of the repeats", "us", False, _TIMED, timed=True
-    ),
-    "compiled_microseconds": Column(
-        "real", "the same in the core, without Python", "us", False, _TIMED, timed=True
-    ),
-    "latency": Column(
-        "real",
+    "latency": _real(
         "time of one call in a real-time loop, for every call",
         "us",
-        False,
-        ("median", "p99", "p999", "max"),
+        "median p99 p999 max",
         timed=True,
     ),
-    "step_microseconds": Column(
-        "real", "time of the call over its iterations", "us", False, ("median",), timed=True
+    "step_microseconds": _real("time of the call over its iterations", "us", "median", timed=True),
+    "start_microseconds": _real(
+        "the start alone, best of the repeats", "us", "median p99", timed=True
     ),
-    "start_microseconds": Column(
-        "real", "the start alone, best of the repeats", "us", False, ("median", "p99"), timed=True
+    "start_gap": _real("relative gap of Phi at the start", statistics="median p90 p99"),
+    "start_margin": _real("cone margin of the start over its largest component", statistics="min"),
+    "start_residual": _real(
+        "balance residual of the start over its largest component", statistics="max"
     ),
-    "start_gap": Column(
-        "real", "relative gap of Phi at the start", "", False, ("median", "p90", "p99")
+    "start_excess": _real(
+        "Phi at the start over Phi at the 12-basis's start, minus one", statistics="median max"
     ),
-    "start_margin": Column(
-        "real", "cone margin of the start over its largest component", "", False, ("min",)
-    ),
-    "start_residual": Column(
-        "real", "balance residual of the start over its largest component", "", False, ("max",)
-    ),
-    "start_excess": Column(
-        "real",
-        "Phi at the start over Phi at the 12-basis's start, minus one",
-        "",
-        False,
-        ("median", "max"),
-    ),
-    "start_replaced": Column(
-        "flag", "the start was replaced by the 12-basis's", "", False, ("sum", "mean")
-    ),
-    "start_slope": Column(
-        "real",
+    "start_replaced": _flag("the start was replaced by the 12-basis's", statistics="sum mean"),
+    "start_slope": _real(
         "change of the start over change of the wrench since the problem before",
-        "",
-        False,
-        ("median", "p99", "max"),
+        statistics="median p99 max",
     ),
-    "gap": Column(
-        "real", "relative gap of the objective at the answer", "", False, ("median", "p99", "max")
+    "gap": _real("relative gap of the objective at the answer", statistics="median p99 max"),
+    "margin": _real("cone margin of the answer over its largest component", statistics="min"),
+    "residual": _real(
+        "balance residual of the answer over its largest component", statistics="max"
     ),
-    "margin": Column(
-        "real", "cone margin of the answer over its largest component", "", False, ("min",)
+    "balance": _real(
+        "balance residual of the answer over the wrench's largest component", statistics="max"
     ),
-    "residual": Column(
-        "real", "balance residual of the answer over its largest component", "", False, ("max",)
-    ),
-    "balance": Column(
-        "real",
-        "balance residual of the answer over the wrench's largest component",
-        "",
-        False,
-        ("max",),
-    ),
-    "apart": Column(
-        "real",
+    "apart": _real(
         "relative difference of the objective from that of the earlier checkout, absolute value",
-        "",
-        False,
-        ("max",),
+        statistics="max",
     ),
-    "violation": Column(
-        "real",
-        "violation of the cones by the answer over its largest component",
-        "",
-        False,
-        ("max",),
+    "violation": _real(
+        "violation of the cones by the answer over its largest component", statistics="max"
     ),
-    "force_excess": Column(
-        "real",
+    "force_excess": _real(
         "relative excess of the total normal force over the least within the exact cones",
-        "",
-        False,
-        ("median", "p95", "max"),
+        statistics="median p95 max",
     ),
-    "force_difference": Column(
-        "real",
+    "force_difference": _real(
         "largest difference of the forces from those of this package's layer, over their largest component",
-        "",
-        False,
-        ("median", "max"),
+        statistics="median max",
     ),
-    "gradient_difference": Column(
-        "real",
+    "gradient_difference": _real(
         "the same for the gradients, for the input with the largest difference",
-        "",
-        False,
-        ("median", "p99", "max"),
+        statistics="median p99 max",
     ),
-    "failed": Column("flag", "there is no answer within the tolerances", "", False, ("sum",)),
-    "limit_excess": Column(
-        "real",
-        "largest excess of the answer over a limit, relative to the limit",
-        "",
-        False,
-        ("max",),
+    "failed": _flag("there is no answer within the tolerances", statistics="sum"),
+    "limit_excess": _real(
+        "largest excess of the answer over a limit, relative to the limit", statistics="max"
     ),
-    "solved_coarse": Column(
-        "flag",
+    "solved_coarse": _flag(
         "gap, balance, cones and limits are within 1e-4, or the proof of infeasibility holds",
-        "",
-        False,
-        ("sum",),
+        statistics="sum",
     ),
-    "solved": Column("flag", "the same within 1e-6", "", False, ("sum",)),
-    "proved": Column("flag", "the answer's own multipliers prove it to 1e-6", "", False, ("sum",)),
-    "wrong": Column("flag", "the verdict is the opposite of the truth", "", False, ("sum",)),
-    "calls": Column(
-        "whole", "number of calls, of which the shortest time counts", "", False, ("min", "max")
+    "solved": _flag("the same within 1e-6", statistics="sum"),
+    "proved": _flag("the answer's own multipliers prove it to 1e-6", statistics="sum"),
+    "wrong": _flag("the verdict is the opposite of the truth", statistics="sum"),
+    "calls": _whole("number of calls, of which the shortest time counts", statistics="min max"),
+    "many_microseconds": _real(
+        "time per problem in one call for a whole session", "us", "median", timed=True
     ),
-    "many_microseconds": Column(
-        "real",
-        "time per problem in one call for a whole session",
-        "us",
-        False,
-        ("median",),
-        timed=True,
+    "contact_force": _real("normal force of the contact", "N"),
+    "jump": _real("change of the contact's force since the sample before", "N", "max"),
+    "kink": _real(
+        "change of the rate of the contact's force since the sample before", "N/s", "max"
     ),
-    "contact_force": Column("real", "normal force of the contact", "N"),
-    "jump": Column(
-        "real", "change of the contact's force since the sample before", "N", False, ("max",)
+    "rate": _real(
+        "factor of the gap per iteration, fitted between gaps of 1e-3 and 1e-9", statistics="max"
     ),
-    "kink": Column(
-        "real",
-        "change of the rate of the contact's force since the sample before",
-        "N/s",
-        False,
-        ("max",),
-    ),
-    "rate": Column(
-        "real",
-        "factor of the gap per iteration, fitted between gaps of 1e-3 and 1e-9",
-        "",
-        False,
-        ("max",),
-    ),
-    "rate_predicted": Column(
-        "real",
+    "rate_predicted": _real(
         "the same factor predicted from the eigenvalues of the Hessian, for rules with a formula",
-        "",
-        False,
-        ("max",),
+        statistics="max",
     ),
-    "eigenvalue_least": Column(
-        "real",
-        "least eigenvalue of the Hessian of Phi on ker G in the metric of P",
-        "1/N",
-        False,
-        ("min",),
+    "eigenvalue_least": _real(
+        "least eigenvalue of the Hessian of Phi on ker G in the metric of P", "1/N", "min"
     ),
-    "eigenvalue_largest": Column(
-        "real", "largest eigenvalue of that Hessian", "1/N", False, ("max",)
-    ),
-    "step_size": Column("real", "constant step of the flow", "N", False, ("max",)),
-    "form_difference": Column(
-        "real",
+    "eigenvalue_largest": _real("largest eigenvalue of that Hessian", "1/N", "max"),
+    "step_size": _real("constant step of the flow", "N", "max"),
+    "form_difference": _real(
         "largest relative difference of Phi from the reduced form's over 40 iterations",
-        "",
-        False,
-        ("max",),
+        statistics="max",
     ),
     # the simulated hand
-    "held": Column(
-        "flag",
+    "held": _flag(
         "the object was held to the end: in place, without sliding, penetration or link forces beyond the limits",
-        "",
-        False,
-        ("sum", "mean", "rate_low", "rate_high"),
+        statistics="sum mean rate_low rate_high",
     ),
-    "failure": Column("text", "reason why the object was not held; empty if it was held"),
-    "detail": Column(
-        "text", "message of a hand that did not take hold, or of a solver that failed"
+    "failure": _text("reason why the object was not held; empty if it was held"),
+    "detail": _text("message of a hand that did not take hold, or of a solver that failed"),
+    "shape": _text("shape of the object"),
+    "size_x": _real("size of the object", "m"),
+    "size_y": _real("size of the object", "m"),
+    "size_z": _real("size of the object", "m"),
+    "mass": _real("mass of the object", "kg"),
+    "friction": _real("friction coefficient of the object"),
+    "redrawn": _whole(
+        "number of objects drawn before this one for which no grasp was found", statistics="sum"
     ),
-    "shape": Column("text", "shape of the object"),
-    "size_x": Column("real", "size of the object", "m"),
-    "size_y": Column("real", "size of the object", "m"),
-    "size_z": Column("real", "size of the object", "m"),
-    "mass": Column("real", "mass of the object", "kg"),
-    "friction": Column("real", "friction coefficient of the object"),
-    "redrawn": Column(
-        "whole",
-        "number of objects drawn before this one for which no grasp was found",
-        "",
-        False,
-        ("sum",),
-    ),
-    "time": Column(
-        "real", "simulated time at the end, or of a sample along a path", "s", False, ("min",)
-    ),
-    "drift": Column(
-        "real",
+    "time": _real("simulated time at the end, or of a sample along a path", "s", "min"),
+    "drift": _real(
         "largest distance of the object from where it was grasped, if it was held",
         "mm",
-        False,
-        (*_MEAN, "p99"),
+        f"{_MEAN} p99",
     ),
-    "end_drift": Column("real", "that distance at the end, held or not", "mm"),
-    "tilt": Column(
-        "real",
-        "largest rotation of the object since it was grasped, if it was held",
-        "deg",
-        False,
-        _MEAN,
+    "end_drift": _real("that distance at the end, held or not", "mm"),
+    "tilt": _real(
+        "largest rotation of the object since it was grasped, if it was held", "deg", _MEAN
     ),
-    "end_tilt": Column("real", "that angle at the end, held or not", "deg"),
-    "slip": Column(
-        "real",
-        "largest distance that a fingertip slid on the object, if it was held",
-        "mm",
-        False,
-        _MEAN,
+    "end_tilt": _real("that angle at the end, held or not", "deg"),
+    "slip": _real(
+        "largest distance that a fingertip slid on the object, if it was held", "mm", _MEAN
     ),
-    "end_slip": Column("real", "the same, held or not", "mm"),
-    "overlap": Column(
-        "real", "largest penetration of a fingertip into the object", "mm", False, ("max",)
+    "end_slip": _real("the same, held or not", "mm"),
+    "overlap": _real("largest penetration of a fingertip into the object", "mm", "max"),
+    "normal_force": _real("sum of the normal forces, mean over the episode", "N", _MEAN),
+    "commanded_force": _real(
+        "sum of the commanded normal forces, mean over the episode", "N", _MEAN
     ),
-    "normal_force": Column(
-        "real", "sum of the normal forces, mean over the episode", "N", False, _MEAN
+    "force_error": _real(
+        "measured minus commanded contact force, mean over the episode", "N", _MEAN
     ),
-    "commanded_force": Column(
-        "real", "sum of the commanded normal forces, mean over the episode", "N", False, _MEAN
-    ),
-    "force_error": Column(
-        "real", "measured minus commanded contact force, mean over the episode", "N", False, _MEAN
-    ),
-    "stray_force": Column(
-        "real", "largest contact force of links other than fingertips", "N", False, ("max",)
-    ),
-    "stray_share": Column("real", "that force as a share of the load", "", False, ("max",)),
-    "peak_torque": Column("real", "largest joint torque", "N m", False, ("mean", "max")),
-    "torque_share": Column(
-        "real",
+    "stray_force": _real("largest contact force of links other than fingertips", "N", "max"),
+    "stray_share": _real("that force as a share of the load", statistics="max"),
+    "peak_torque": _real("largest joint torque", "N m", "mean max"),
+    "torque_share": _real(
         "largest joint torque of a step as a share of its limit, mean over the episode",
-        "",
-        False,
-        _MEAN,
+        statistics=_MEAN,
     ),
-    "torque_margin": Column(
-        "real", "least distance of a torque from its limit", "N m", False, ("mean", "min")
-    ),
-    "limited": Column(
-        "whole", "ticks in which a torque limit was active", "", False, ("mean", "sum")
-    ),
-    "saturated": Column(
-        "real", "share of the steps in which a torque was cut", "", False, ("mean", "max")
-    ),
-    "touching": Column("whole", "fingers in contact at the end"),
-    "contact_changes": Column("whole", "contacts lost or made", "", False, ("mean", "max")),
-    "contact_always": Column("flag", "every finger touched at every step", "", False, ("mean",)),
+    "torque_margin": _real("least distance of a torque from its limit", "N m", "mean min"),
+    "limited": _whole("ticks in which a torque limit was active", statistics="mean sum"),
+    "saturated": _real("share of the steps in which a torque was cut", statistics="mean max"),
+    "touching": _whole("fingers in contact at the end"),
+    "contact_changes": _whole("contacts lost or made", statistics="mean max"),
+    "contact_always": _flag("every finger touched at every step", statistics="mean"),
     # agents
-    "reward": Column("real", "reward of the step"),
-    "return": Column(
-        "real", "sum of the rewards of an episode, at its last step", "", False, ("iqm",)
-    ),
-    "mean_iterations": Column(
-        "real", "iterations per step, mean over the episode", "", False, ("mean", "median")
+    "reward": _real("reward of the step"),
+    "return": _real("sum of the rewards of an episode, at its last step", statistics="iqm"),
+    "mean_iterations": _real(
+        "iterations per step, mean over the episode", statistics="mean median"
     ),
     # speed
-    "per_second": Column(
-        "real", "solves, steps or resets per second", "1/s", False, ("median", "max"), timed=True
-    ),
-    "nanoseconds": Column(
-        "real", "one step of the computation", "ns", False, ("median",), timed=True
-    ),
-    "milliseconds": Column("real", "one call", "ms", False, ("median", "mean", "p99"), timed=True),
-    "lost": Column(
-        "whole", "messages that were sent and did not arrive", "", False, ("sum",), timed=True
-    ),
-    "unanswered": Column(
-        "whole",
+    "per_second": _real("solves, steps or resets per second", "1/s", "median max", timed=True),
+    "nanoseconds": _real("one step of the computation", "ns", "median", timed=True),
+    "milliseconds": _real("one call", "ms", "median mean p99", timed=True),
+    "lost": _whole("messages that were sent and did not arrive", statistics="sum", timed=True),
+    "unanswered": _whole(
         "messages without an answer of their own, because a newer one had arrived",
-        "",
-        False,
-        ("sum",),
+        statistics="sum",
         timed=True,
     ),
-    "late": Column("whole", "updates after a missed deadline", "", False, ("sum",), timed=True),
-    "over_budget": Column(
-        "whole", "updates that took longer than their budget", "", False, ("sum",), timed=True
+    "late": _whole("updates after a missed deadline", statistics="sum", timed=True),
+    "over_budget": _whole(
+        "updates that took longer than their budget", statistics="sum", timed=True
     ),
-    "behind": Column(
-        "whole",
+    "behind": _whole(
         "steps that the simulated hand began late, because the machine was busy",
-        "",
-        False,
-        ("sum",),
+        statistics="sum",
         timed=True,
     ),
-    "ratio": Column(
-        "real",
+    "ratio": _real(
         "time over that of the alternative measured in turn with it",
-        "",
-        False,
-        ("median", "low", "high"),
+        statistics="median low high",
         timed=True,
     ),
-    "solves": Column("whole", "number of problems that the row covers", "", False, ("max",)),
-    "failures": Column(
-        "whole", "number of those without an answer within the tolerances", "", False, ("max",)
-    ),
-    "mebibytes": Column("real", "resident memory, or its growth", "MiB", False, ("max",)),
-    "bytes": Column("whole", "memory, or size of files", "B", False, ("max",)),
-    "seconds": Column("real", "wall time", "s", False, ("max",), timed=True),
-    "cpu_seconds": Column("real", "processor time of one core", "s", False, ("max",), timed=True),
-    "operations": Column("whole", "multiplications, counted", "", False, ("max",)),
-    "force_sum": Column(
-        "real", "sum of the normal forces of the start, or of the optimum", "N", False, ("median",)
-    ),
+    "solves": _whole("number of problems that the row covers", statistics="max"),
+    "failures": _whole("number of those without an answer within the tolerances", statistics="max"),
+    "mebibytes": _real("resident memory, or its growth", "MiB", "max"),
+    "bytes": _whole("memory, or size of files", "B", "max"),
+    "seconds": _real("wall time", "s", "max", timed=True),
+    "cpu_seconds": _real("processor time of one core", "s", "max", timed=True),
+    "operations": _whole("multiplications, counted", statistics="max"),
+    "force_sum": _real("sum of the normal forces of the start, or of the optimum", "N", "median"),
 }
 """All columns, in the order of the tables."""
 KEYS = tuple(name for name, column in COLUMNS.items() if column.key)
