@@ -27,7 +27,7 @@ from grasp_env.sim.objects.cache import cached, clear, entries, folder
 from grasp_env.sim.objects.closing import close_mesh
 from grasp_env.sim.objects.reading import open_mesh, read_mesh
 from training.program.cli import main
-from training.program.commands import mending
+from training.program.commands import mesh_repair
 
 
 @pytest.fixture(autouse=True)
@@ -156,17 +156,17 @@ def test_a_closed_mesh_is_kept_and_nothing_is_overwritten_by_default(
 
 def test_mending_that_fails(tmp_path: Path, answer: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     flat = save(tmp_path / "flat.obj", CORNERS * (1.0, 1.0, 0.0), FACES[:100])
-    for words in ("cannot be mended", "Blender"):
+    for words in ("cannot be repaired", "Blender"):
         assert words in answer("mend", flat)[1]["error"]["message"]
     torn = save(tmp_path / "torn.obj", CORNERS, TORN)
     with monkeypatch.context() as patched:
-        patched.setattr(mending, "LONGEST", 0.01)
+        patched.setattr(mesh_repair, "LONGEST", 0.01)
         assert "did not end within" in answer("mend", torn)[1]["error"]["message"]
 
     def crash(*_: Any, **__: Any) -> Any:
         raise ChildProcessError("exit code -11")
 
-    monkeypatch.setattr(mending, "apart", crash)
+    monkeypatch.setattr(mesh_repair, "apart", crash)
     assert "broke off" in answer("mend", torn)[1]["error"]["message"]
     assert not list(tmp_path.glob("*mended*"))
 

@@ -26,8 +26,8 @@ from grasp_env.inputs.extras import need
 COMMANDS = {
     "solve": ("Solve", "Optimise one grasp force and print it."),
     "hand": ("Hand", "Read a hand's file, and list what was repaired in it."),
-    "object": ("Object", "Show what an object's mesh becomes, mend it, or list the cache."),
-    "live": ("Live", "Show a grasp in the browser and pull at it."),
+    "object": ("Object", "Show how a mesh is read, repair it, or list the cache."),
+    "live": ("Live", "Open a grasp in the browser and pull on the object."),
     "demo": ("Demo", "Save a picture or a video of the simulated hand."),
     "evaluate": ("Evaluate", "Compare starts, controllers, hands or engines."),
     "report": ("Report", "Make a run's page again, or compare two runs."),
@@ -83,13 +83,9 @@ class UsageError(InvalidInputError):
 
         text = " ".join(Text.from_ansi(page).plain.translate(_FRAME).split())
         super().__init__(text)
-        # both the given and the allowed ones
-        names = {name.strip("'(),.") for name in text.split()}
-        questions = [
-            alike(word, names - {word})
-            for word in words
-            if word in names and not word.startswith("-")
-        ]
+        names = {name.strip("'(),.") for name in text.split()}  # the given and the allowed ones
+        misspelt = [word for word in words if word in names and not word.startswith("-")]
+        questions = [alike(word, names - {word}) for word in misspelt]
         self.page = page + "".join(f"grasp:{question}\n" for question in questions if question)
 
 
@@ -141,10 +137,9 @@ def _parse(words: list[str]) -> Any:
         with redirect_stderr(printed):
             if name in COMMANDS:
                 return tyro.cli(_load(name), prog=f"grasp {name}", args=rest)
-            every: Any = reduce(
-                or_, (Annotated[_load(each), tyro.conf.subcommand(each)] for each in COMMANDS)
-            )
-            return tyro.cli(every, prog="grasp", args=words)  # a completion lists all options
+            commands = (Annotated[_load(name), tyro.conf.subcommand(name)] for name in COMMANDS)
+            union: Any = reduce(or_, commands)
+            return tyro.cli(union, prog="grasp", args=words)  # a completion lists all options
     except SystemExit as stop:
         if stop.code:
             raise UsageError(printed.getvalue(), rest) from None
@@ -152,21 +147,20 @@ def _parse(words: list[str]) -> Any:
 
 
 def _load(name: str) -> Any:
-    """The class of a sub-command."""
+    """Return the class of a sub-command."""
     return getattr(import_module(f"training.program.commands.{name}"), COMMANDS[name][0])
 
 
 def _version() -> str:
-    """Versions of the package, of the core's build and of Python, in one line."""
+    """Return the versions of package, core and Python."""
     import platform
 
     from grasp_env import __version__
     from grasp_env.core import build_info
 
-    built = build_info()
-    core = " ".join(
-        built[part] for part in ("version", "compiler", "instruction_set", "build_type", "arch")
-    )
+    build = build_info()
+    names = ("version", "compiler", "instruction_set", "build_type", "arch")
+    core = " ".join(build[name] for name in names)
     return f"grasp {__version__}, core {core}, Python {platform.python_version()}"
 
 
@@ -179,9 +173,7 @@ def _fail(error: BaseException, as_json: bool) -> int:
         code = next((code for kind, code in _CODES.items() if isinstance(error, kind)), 2)
     elif isinstance(error, KeyboardInterrupt):
         code, message = 130, "interrupted"
-    elif isinstance(
-        error, OSError
-    ):  # for any file: a full disk, no permission, a name that is too long
+    elif isinstance(error, OSError):  # a full disk, no permission, a name that is too long
         from grasp_env.inputs.files import file_fault
 
         message = ("" if error.filename is None else f"{error.filename}: ") + file_fault(error)
@@ -194,12 +186,12 @@ def _fail(error: BaseException, as_json: bool) -> int:
     if as_json:
         from training.program.commands.answers import write_json
 
-        described = {"kind": type(error).__name__, "message": message, "exit_code": code}
+        facts = {"kind": type(error).__name__, "message": message, "exit_code": code}
         if isinstance(error, UnknownNameError):
-            described["allowed"] = list(error.allowed)
+            facts["allowed"] = list(error.allowed)
         # some commands attach numbers to their error
         try:
-            write_json({"error": described} | getattr(error, "numbers", {}))
+            write_json({"error": facts} | getattr(error, "numbers", {}))
             sys.stdout.flush()
         except OSError:  # a full disk, or the reader closed the pipe
             _drop_output()
@@ -207,5 +199,5 @@ def _fail(error: BaseException, as_json: bool) -> int:
 
 
 def _drop_output() -> None:
-    """Drop what is printed, also at the end of the process."""
+    """Discard all further output, also at the end of the process."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -76,9 +76,8 @@ def record(
 ) -> Ending:
     """Roll out the hand, save a picture or a video at 25 frames/s, and return the outcome.
 
-    Frames are written one by one, but those of .webp, the smallest format that browsers play, at
-    the end. The file gets its name when it is complete. If ctrl-C stops the recording, an older
-    file stays unchanged.
+    Frames are written one by one, those of .webp at the end. The file gets its name when it is
+    complete: if ctrl-C stops the recording, an older file stays unchanged.
 
     Args:
         out: the file.
@@ -121,14 +120,13 @@ def _frames(
     rate = int(env.metadata["render_fps"])
     every = max(1, round(rate / FRAME_RATE))
     with progress(Console(stderr=True)) as bar:
-        task = bar.add_task(
-            "recording", total=getattr(env.unwrapped.spec, "max_episode_steps", None)
-        )
-        for place, step in enumerate(episode(env, seed, policy)):
-            ending.seconds = (place + 1) / rate
+        steps = getattr(env.unwrapped.spec, "max_episode_steps", None)
+        task = bar.add_task("recording", total=steps)
+        for k, step in enumerate(episode(env, seed, policy)):
+            ending.seconds = (k + 1) / rate
             ending.drift = max(ending.drift, float(step.info.get("drift", 0.0)))
             ending.failure = FAILURES.get(step.info.get("failure", ""), "")
-            if step.last or (place % every == 0 and not only_last):
+            if step.last or (k % every == 0 and not only_last):
                 yield np.asarray(env.render())
             bar.advance(task)
 
@@ -139,29 +137,26 @@ def _write(path: Path, frames: Iterator[np.ndarray]) -> None:
         _write_film(path, first, frames)
         return
     rest: Any = map(Image.fromarray, frames)
-    options: dict[str, Any] = {
-        "append_images": rest,
-        "save_all": True,
-        "duration": 1000 // FRAME_RATE,
-        "loop": 0,
-    }
+    options: dict[str, Any] = {}
+    if path.suffix != ".png":
+        options = {"save_all": True, "duration": 1000 // FRAME_RATE, "loop": 0}
+        options["append_images"] = rest
     if path.suffix == ".webp":
         options |= {"append_images": list(rest), "quality": 65, "method": 4}
-    made = io.BytesIO()  # writing to a file, an encoder would not tell why it failed
-    Image.fromarray(first).save(made, path.suffix[1:], **({} if path.suffix == ".png" else options))
-    path.write_bytes(made.getbuffer())
+    picture = io.BytesIO()  # writing to a file, an encoder would not tell why it failed
+    Image.fromarray(first).save(picture, path.suffix[1:], **options)
+    path.write_bytes(picture.getbuffer())
 
 
 def _write_film(path: Path, first: np.ndarray, frames: Iterator[np.ndarray]) -> None:
     """Write an .mp4; raise an OSError if ffmpeg has not finished it."""
     import imageio_ffmpeg  # pyright: ignore[reportMissingImports]
 
-    # H.264 stores colours in blocks of two pixels
     size = (first.shape[1], first.shape[0])
+    # H.264 stores colours in blocks of two pixels
+    options: dict[str, Any] = {"fps": FRAME_RATE, "quality": 8, "macro_block_size": 2}
     ended = False
-    with closing(
-        imageio_ffmpeg.write_frames(path, size, fps=FRAME_RATE, quality=8, macro_block_size=2)
-    ) as writer:
+    with closing(imageio_ffmpeg.write_frames(path, size, **options)) as writer:
         writer.send(None)
         for frame in chain([first], frames):
             try:
@@ -172,19 +167,18 @@ def _write_film(path: Path, first: np.ndarray, frames: Iterator[np.ndarray]) -> 
     if ended or not _is_whole(path):
         if shutil.disk_usage(path.parent).free < FULL:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
-        raise OSError(
-            errno.EIO, "ffmpeg did not finish the film, for a reason that it printed", str(path)
-        )
+        message = "ffmpeg did not finish the film, for a reason that it printed"
+        raise OSError(errno.EIO, message, str(path))
 
 
 def _is_whole(path: Path) -> bool:
     """Return True if the boxes of an .mp4 fill the file, with the index that is written last."""
     names = set[bytes]()
-    place = 0
+    offset = 0
     size = os.path.getsize(path) if path.exists() else 0
-    while place < size:
+    while offset < size:
         with path.open("rb") as file:
-            file.seek(place)
+            file.seek(offset)
             head = file.read(16)
         length = int.from_bytes(head[:4], "big")
         name = head[4:8]
@@ -193,5 +187,5 @@ def _is_whole(path: Path) -> bool:
         if length < 8:
             return False
         names.add(name)
-        place += length
-    return place == size and b"moov" in names
+        offset += length
+    return offset == size and b"moov" in names

@@ -47,7 +47,7 @@ def save_picture(pixels: Any, path: Path) -> None:
     """Write pixels (height, width, 3) as a .png file."""
     from PIL import Image
 
-    made = io.BytesIO()  # writing to a file, the encoder would not tell why it failed
-    Image.fromarray(pixels).save(made, format="PNG")
+    image = io.BytesIO()  # writing to a file, the encoder would not tell why it failed
+    Image.fromarray(pixels).save(image, format="PNG")
     with replacing(path) as temporary:
-        temporary.write_bytes(made.getbuffer())
+        temporary.write_bytes(image.getbuffer())

@@ -13,7 +13,7 @@ from grasp_env.inputs.extras import need
 from training.evaluation.compare.scenarios import BOTH, ENGINES
 from training.program.commands.options import misplaced, one_of
 
-OWN = {
+OPTIONS = {
     "starts": ("wrenches", "timed", "repeats", "episodes", "steps", "start"),
     "env": ("hands", "episodes"),
     "env --hands ...": ("hands", "objects", "engines", "episodes"),
@@ -29,9 +29,9 @@ class Evaluate:
     To continue an interrupted run, give its name.
 
     Attributes:
-        what: starts (every start on every set of cases by both methods, times, roll-outs: about a
-            minute on two cores), env (how often controllers hold random objects; with --hands, how
-            often these hands hold objects: hours) or transfer (the same hands in Bullet and in
+        what: starts (compare all starts with both methods, time them, and simulate the hand: about
+            a minute on two cores), env (how often controllers hold random objects; with --hands,
+            how often these hands hold objects: hours) or transfer (the same hands in Bullet and in
             MuJoCo: hours).
         out: folder of runs.
         name: name of this run; empty: <what>-<date>-<time>. The name of an interrupted run
@@ -84,10 +84,8 @@ class Evaluate:
         from training.evaluation.results.claims import lines
         from training.evaluation.results.run import Run, default_name
 
-        if self.what == "transfer":
-            for name in BOTH:
-                # a missing engine is reported before the folder is made
-                class_of(engine_of(name), "simulator")
+        for name in BOTH if self.what == "transfer" else ():
+            class_of(engine_of(name), "simulator")  # report a missing engine before the folder
         kind = self.what
         if kind == "env" and self.hands:
             kind = "objects" if self.objects else "hands"
@@ -102,11 +100,9 @@ class Evaluate:
 
     def _check(self) -> None:
         """Refuse options that belong to another comparison."""
-        option = misplaced(
-            self, OWN, "env --hands ..." if self.what == "env" and self.hands else self.what
-        )
-        if option:
-            where = next(what for what, names in OWN.items() if option in names)
+        what = "env --hands ..." if self.what == "env" and self.hands else self.what
+        if option := misplaced(self, OPTIONS, what):
+            where = next(what for what, names in OPTIONS.items() if option in names)
             raise InvalidInputError(
                 f"--{option} belongs to `grasp evaluate {where}`, got `grasp evaluate {self.what}`: leave it out, or name that comparison"
             )
@@ -118,11 +114,9 @@ class Evaluate:
             from training.evaluation.compare.comparison import StartsConfig, run
             from training.evaluation.compare.given import Given
 
-            own = {
-                name: getattr(self, name)
-                for name in ("wrenches", "timed", "repeats", "steps", "seed", "quick")
-            }
-            config = StartsConfig(**own, episodes=self.episodes or StartsConfig.episodes)
+            names = ("wrenches", "timed", "repeats", "steps", "seed", "quick")
+            settings = {name: getattr(self, name) for name in names}
+            config = StartsConfig(**settings, episodes=self.episodes or StartsConfig.episodes)
             given = Given.of(self.start)
             folder.begin({"kind": kind, **vars(config.resolved()), "given": dict(given.names)})
             return run(config, given, folder, **shared)

@@ -69,16 +69,13 @@ class Hand:
                     choice(
                         self.hand, "hand", HANDS, ", or give the path of a URDF, xacro or MJCF file"
                     )
-                given = pairs_of(
-                    self.xacro_args, "an argument is given as NAME=VALUE, such as side=left"
-                )
-                limit = self.torque_limit or None
+                form = "an argument is given as NAME=VALUE, such as side=left"
                 hand = HandDescription.from_file(
                     self.hand,
                     self.fingertips or None,
-                    torque_limit=limit,
+                    torque_limit=self.torque_limit or None,
                     palm=self.palm or None,
-                    xacro_args=given,
+                    xacro_args=pairs_of(self.xacro_args, form),
                 )
         console = Console()
         for table in (_joints(hand), _fingers(hand), _links(hand)):
@@ -95,23 +92,14 @@ class Hand:
 
 
 def _joints(hand: HandDescription) -> Table:
-    table = make_table(
-        f"{hand.name}: {hand.joint_count} joints",
-        "joint",
-        "moves",
-        "from",
-        "to",
-        "limit",
-        "coupled to",
-    )
+    columns = ("joint", "moves", "from", "to", "limit", "coupled to")
+    table = make_table(f"{hand.name}: {hand.joint_count} joints", *columns)
     for link in hand.links:
-        far, strong = ("m", "N") if link.sliding else ("rad", "N m")
-        ends = (
-            ("-", "-")
-            if math.isinf(link.lower)
-            else (f"{link.lower:.3f} {far}", f"{link.upper:.3f} {far}")
-        )
-        motor = (f"{link.torque_limit:g} {strong}", "")
+        length, force = ("m", "N") if link.sliding else ("rad", "N m")
+        ends = ("-", "-")
+        if math.isfinite(link.lower):
+            ends = (f"{link.lower:.3f} {length}", f"{link.upper:.3f} {length}")
+        motor = (f"{link.torque_limit:g} {force}", "")
         if link.mimic is not None:  # another joint's motor moves it
             offset = f" {link.mimic.offset:+g}" if link.mimic.offset else ""
             motor = ("", f"{link.mimic.ratio:g} x {link.mimic.joint}{offset}")
@@ -122,27 +110,25 @@ def _joints(hand: HandDescription) -> Table:
 def _fingers(hand: HandDescription) -> Table:
     from grasp_env.sim.hand.kinematics import HandKinematics
 
-    carries = HandKinematics(hand).carries
+    motors = HandKinematics(hand).carries
     table = make_table(
         f"{hand.finger_count} fingertips", "finger", "link", "centre, mm", "radius, mm", "motors"
     )
-    for tip, own in zip(hand.fingertips, carries, strict=True):
+    for tip, moving in zip(hand.fingertips, motors, strict=True):
         center = " ".join(f"{1e3 * value:.1f}" for value in tip.center)
-        table.add_row(tip.name, tip.link, center, f"{1e3 * tip.radius:.1f}", str(int(own.sum())))
+        table.add_row(tip.name, tip.link, center, f"{1e3 * tip.radius:.1f}", str(int(moving.sum())))
     return table
 
 
 def _links(hand: HandDescription) -> Table:
     grams = 1e3 * sum(link.mass for link in hand.links)
-    table = make_table(
-        f"{grams:.0f} g move", "link", "mass, g", "touches with", "corners of hulls", "looks"
-    )
+    columns = ("link", "mass, g", "collision shapes", "hull vertices", "visual shapes")
+    table = make_table(f"moving mass {grams:.0f} g", *columns)
     for body in (hand.palm, *hand.links):
         kinds = Counter(shape.kind for shape in body.collision)
-        touches = ", ".join(f"{count} {kind}" for kind, count in kinds.items())
-        corners = " ".join(
-            str(len(shape.corners)) for shape in body.collision if shape.kind == "hull"
-        )
+        shapes = ", ".join(f"{count} {kind}" for kind, count in kinds.items())
+        hulls = (shape for shape in body.collision if shape.kind == "hull")
+        vertices = " ".join(str(len(hull.corners)) for hull in hulls)
         mass = "" if body is hand.palm else f"{1e3 * body.mass:.2f}"  # type: ignore[union-attr]
-        table.add_row(body.name, mass, touches, corners, str(len(body.visual)))
+        table.add_row(body.name, mass, shapes, vertices, str(len(body.visual)))
     return table

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Live:
-    """Show a grasp in the browser and pull at it.
+    """Open a grasp in the browser and pull on the object.
 
     Drag the load and the contacts, or the object in a simulated hand.
 
@@ -68,14 +68,13 @@ class Live:
             raise InvalidInputError(
                 f"seconds must be 0 (until ctrl-C) or up to 1e9, got {self.seconds}"
             )
-        if self.record is not None and (
-            self.record.suffix != ".html" or not self.record.absolute().parent.is_dir()
-        ):
+        path = self.record
+        if path is not None and not (path.suffix == ".html" and path.absolute().parent.is_dir()):
             raise InvalidInputError(
-                f"record must be an .html file in a folder that exists, got {self.record}"
+                f"record must be an .html file in a folder that exists, got {path}"
             )
         window = self._bare() if self.hand is None else self._hand(self.hand)
-        window.run(self.seconds or math.inf, self.record)
+        window.run(self.seconds or math.inf, path)
 
     def _bare(self) -> Window:
         from training.program.live.contacts import BareContacts
@@ -98,11 +97,10 @@ class Live:
             warnings.simplefilter("always")
             tips = self.fingertips or None
             limit = self.torque_limit or None
-            hand = (
-                HANDS[name]()
-                if name in HANDS
-                else HandDescription.from_file(name, tips, torque_limit=limit)
-            )
+            if name in HANDS:
+                hand = HANDS[name]()
+            else:
+                hand = HandDescription.from_file(name, tips, torque_limit=limit)
         sys.stderr.writelines(f"grasp: repaired: {warning.message}\n" for warning in repairs)
         config = EnvConfig().override(hand=hand, shape=self.shape, method=self.method)
         return SimulatedHand(self.port, config, rule)

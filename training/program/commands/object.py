@@ -22,14 +22,19 @@ from training.program.commands.options import left_out, misplaced
 if TYPE_CHECKING:
     from grasp_env.inputs.arguments import Array
 
-OWN = {"show": ("file", "scale", "draw", "size"), "mend": ("file", "out"), "list": (), "clear": ()}
+ACTIONS = {
+    "show": ("file", "scale", "draw", "size"),
+    "mend": ("file", "out"),
+    "list": (),
+    "clear": (),
+}
 """Options that apply to some actions only."""
 _NEAR = 1e-5  # share of the extent within which the centres of equal triangles lie
 
 
 @dataclass(frozen=True)
 class Object:
-    """Show what an object's mesh becomes, mend it, or list the cache.
+    """Show how a mesh is read, repair it, or list the cache.
 
     `grasp object show mug.obj --draw mug.png`
     `grasp object mend torn.obj`
@@ -37,7 +42,7 @@ class Object:
     `grasp object clear`
 
     Attributes:
-        what: show (what a mesh file becomes), mend (close a torn mesh by MeshFix and write it),
+        what: show (how a mesh file is read), mend (repair a torn mesh by MeshFix and write it),
             list (the cached meshes of objects and hands) or clear (that cache).
         file: show and mend: a mesh, .obj, .stl, .ply, .off, .glb or .dae.
         scale: show: factor from the file's unit to metres, 0.001 for millimetres.
@@ -61,26 +66,27 @@ class Object:
         """Run the command."""
         self._check()
         need("sim")
-        action = {"show": self._show, "mend": self._mend, "list": _list, "clear": _clear}[self.what]
-        facts, page = action()
+        actions = {"show": self._show, "mend": self._mend, "list": _list, "clear": _clear}
+        facts, page = actions[self.what]()
         if self.json:
             write_json(facts)
             return
         console = Console()
-        for part in page:
-            style = "yellow" if isinstance(part, str) and part.startswith("repaired") else None
-            console.print(part, style=style, highlight=False, soft_wrap=isinstance(part, str))
+        for item in page:
+            is_text = isinstance(item, str)
+            style = "yellow" if is_text and item.startswith("repaired") else None
+            console.print(item, style=style, highlight=False, soft_wrap=is_text)
 
     def _check(self) -> None:
         """Refuse a missing file, and options of another action."""
-        if self.file is None and "file" in OWN[self.what]:
+        if self.file is None and "file" in ACTIONS[self.what]:
             raise InvalidInputError(
                 f"`grasp object {self.what}` needs a FILE: `grasp object {self.what} mug.obj`"
             )
-        if option := misplaced(self, OWN, self.what):
+        if option := misplaced(self, ACTIONS, self.what):
             name = f"FILE {self.file}" if option == "file" else f"--{option}"
             where = " and ".join(
-                f"`grasp object {what}`" for what, names in OWN.items() if option in names
+                f"`grasp object {what}`" for what, names in ACTIONS.items() if option in names
             )
             raise InvalidInputError(
                 f"{name} belongs to {where}, got `grasp object {self.what}`: leave it out"
@@ -96,7 +102,7 @@ class Object:
 
         whole(self.size, "size", 16, 4096)
         _check_suffix(self.draw, "--draw", ".png")
-        with warnings.catch_warnings(record=True) as warned:
+        with warnings.catch_warnings(record=True) as repairs:
             warnings.simplefilter("always")
             mesh = load_mesh(str(self.file), real(POSITIVE).take(self.scale, "scale"))
         check_extent(
@@ -114,7 +120,7 @@ class Object:
             "volume": mesh.volume,
             "center": mesh.center,
             "pieces": len(mesh.pieces),
-            "repaired": [str(warning.message) for warning in warned],
+            "repaired": [str(warning.message) for warning in repairs],
             "kept_in": folder() if os.access(folder(), os.W_OK) else None,
             "picture": self.draw,
         }
@@ -123,30 +129,30 @@ class Object:
     def _mend(self) -> tuple[dict[str, Any], list[Any]]:
         from grasp_env.sim.mesh_shape import volume
         from grasp_env.sim.objects.reading import open_mesh, read_mesh
-        from training.program.commands.mending import as_obj, mended
+        from training.program.commands.mesh_repair import as_obj, repair_mesh
 
         assert self.file is not None
         out = self._out(self.file)
         name = f"the mesh {self.file}"
         before = read_mesh(open_mesh(self.file, name))
-        made = mended(*before, name)
+        mesh = repair_mesh(*before, name)
         with replacing(out) as path:
-            path.write_bytes(as_obj(made, name))
+            path.write_bytes(as_obj(mesh, name))
         facts = {
             "file": self.file,
             "out": out,
             "faces_before": len(before[1]),
-            "faces_after": len(made.faces),
-            "faces_kept": _count_common(before[0][before[1]], made.corners[made.faces]),
-            "parts": made.parts,
-            "parts_left_out": made.left_out,
-            "volume": volume(made.corners, made.faces),
-            "changes": made.changes,
+            "faces_after": len(mesh.faces),
+            "faces_kept": _count_common(before[0][before[1]], mesh.corners[mesh.faces]),
+            "parts": mesh.parts,
+            "parts_left_out": mesh.left_out,
+            "volume": volume(mesh.corners, mesh.faces),
+            "changes": mesh.changes,
         }
-        return facts, _mended_page(facts)
+        return facts, _repaired_page(facts)
 
     def _out(self, file: Path) -> Path:
-        """Return the path of the mended mesh."""
+        """Return the path of the repaired mesh."""
         _check_suffix(self.out, "--out", ".obj")
         out = file.with_name(f"{file.stem}_mended.obj") if self.out is None else self.out
         if self.out is None and os.path.lexists(out):
@@ -174,15 +180,14 @@ def _shown_page(facts: dict[str, Any]) -> list[Any]:
     )
     table.add_row("convex pieces", str(facts["pieces"]))
     repaired = [f"repaired: {text}" for text in facts["repaired"]]
-    kept = (
-        f"kept in {facts['kept_in']}"
-        if facts["kept_in"]
-        else "not kept: the cache folder cannot be written"
-    )
-    return [table, *repaired, kept, *([] if facts["picture"] is None else [str(facts["picture"])])]
+    kept = "not kept: the cache folder cannot be written"
+    if facts["kept_in"]:
+        kept = f"kept in {facts['kept_in']}"
+    picture = [] if facts["picture"] is None else [str(facts["picture"])]
+    return [table, *repaired, kept, *picture]
 
 
-def _mended_page(facts: dict[str, Any]) -> list[Any]:
+def _repaired_page(facts: dict[str, Any]) -> list[Any]:
     table = make_table(facts["out"].name)
     table.add_row("faces in the file", str(facts["faces_before"]))
     table.add_row(
@@ -194,41 +199,26 @@ def _mended_page(facts: dict[str, Any]) -> list[Any]:
     table.add_row("volume, in the file's unit", f"{facts['volume']:.6g}")
     changes = [f"repaired: {text}" for text in facts["changes"]]
     out = facts["out"]
-    return [
-        table,
-        *changes,
-        str(out),
-        f"look at it: grasp object show {out} --draw {out.with_suffix('.png')}",
-    ]
+    hint = f"look at it: grasp object show {out} --draw {out.with_suffix('.png')}"
+    return [table, *changes, str(out), hint]
 
 
 def _list() -> tuple[dict[str, Any], list[Any]]:
     from grasp_env.sim.objects.cache import entries, folder
 
-    found = [
-        {
-            "name": entry.name,
-            "use": entry.use,
-            "bytes": entry.size,
-            "time": entry.time,
-            "pieces": _pieces(entry.path),
-        }
-        for entry in entries()
-    ]
-    table = make_table(
-        f"{len(found)} meshes, {sum(each['bytes'] for each in found) / 1e6:.1f} MB",
-        "mesh",
-        "use",
-        "kB",
-        "made",
-        "convex pieces",
-    )
-    for each in found:
-        when = time.strftime("%Y-%m-%d %H:%M", time.localtime(each["time"]))
-        table.add_row(
-            each["name"], each["use"], f"{each['bytes'] / 1e3:.0f}", when, str(each["pieces"] or "")
-        )
-    return {"folder": folder(), "meshes": found}, [table, f"in {folder()}"]
+    meshes = []
+    rows = []
+    for entry in entries():
+        pieces = _pieces(entry.path)
+        mesh = {"name": entry.name, "use": entry.use, "bytes": entry.size, "time": entry.time}
+        meshes.append({**mesh, "pieces": pieces})
+        when = time.strftime("%Y-%m-%d %H:%M", time.localtime(entry.time))
+        rows.append((entry.name, entry.use, f"{entry.size / 1e3:.0f}", when, str(pieces or "")))
+    title = f"{len(meshes)} meshes, {sum(mesh['bytes'] for mesh in meshes) / 1e6:.1f} MB"
+    table = make_table(title, "mesh", "use", "kB", "made", "convex pieces")
+    for row in rows:
+        table.add_row(*row)
+    return {"folder": folder(), "meshes": meshes}, [table, f"in {folder()}"]
 
 
 def _pieces(path: Path) -> int | None:
@@ -244,16 +234,15 @@ def _clear() -> tuple[dict[str, Any], list[Any]]:
     from grasp_env.sim.objects.cache import clear, folder
 
     count = clear()
-    return {"folder": folder(), "removed": count}, [
-        f"removed {count} {'mesh' if count == 1 else 'meshes'} from {folder()}"
-    ]
+    noun = "mesh" if count == 1 else "meshes"
+    return {"folder": folder(), "removed": count}, [f"removed {count} {noun} from {folder()}"]
 
 
 def _count_common(before: Array, after: Array) -> int:
     """Return the number of triangles (F, 3, 3) `after` with a centre among those `before`."""
     grain = _NEAR * float(np.ptp(before.reshape(-1, 3), axis=0).max())
-    cells = (
-        np.round(each.mean(axis=1) / grain).astype(np.int64).tolist() for each in (before, after)
+    known, kept = (
+        set(map(tuple, np.round(triangles.mean(axis=1) / grain).astype(np.int64).tolist()))
+        for triangles in (before, after)
     )
-    known, found = ([tuple(cell) for cell in rows] for rows in cells)
-    return len(set(known) & set(found))
+    return len(known & kept)

@@ -34,12 +34,11 @@ def left_out(otherwise: str, what: str | None = None) -> Any:
 def setting_help(path: str, otherwise: str | None = None) -> Any:
     """Take an option's help from the environment's setting; `otherwise` as in `left_out`."""
     try:
-        sentence = import_module("grasp_env.config.env").all_settings()[path].doc
+        text = import_module("grasp_env.config.env").all_settings()[path].doc
     except MissingExtraError:  # the command names the extra
-        sentence = "see the page of settings."
-    return tyro.conf.arg(
-        help=sentence, help_behavior_hint=None if otherwise is None else f"(default: {otherwise})"
-    )
+        text = "see the page of settings."
+    hint = None if otherwise is None else f"(default: {otherwise})"
+    return tyro.conf.arg(help=text, help_behavior_hint=hint)
 
 
 def settings_of(words: Iterable[str]) -> dict[str, Any]:
@@ -52,31 +51,30 @@ def settings_of(words: Iterable[str]) -> dict[str, Any]:
         >>> settings_of(["controller.kind=pd", "sensors.delay=0.01"])
         {'controller.kind': 'pd', 'sensors.delay': 0.01}
     """
-    made: dict[str, Any] = {}
-    for path, text in pairs_of(
-        words, "a setting is given as PATH=VALUE, such as sensors.delay=0.01"
-    ).items():
+    settings: dict[str, Any] = {}
+    form = "a setting is given as PATH=VALUE, such as sensors.delay=0.01"
+    for path, text in pairs_of(words, form).items():
         try:
-            made[path] = json.loads(text)
+            settings[path] = json.loads(text)
         except (ValueError, RecursionError):
-            made[path] = text
-    return made
+            settings[path] = text
+    return settings
 
 
 def pairs_of(words: Iterable[str], form: str) -> dict[str, str]:
     """Split words NAME=VALUE. An InvalidInputError for a word without "=" begins with `form`."""
-    made: dict[str, str] = {}
+    pairs: dict[str, str] = {}
     for word in words:
         name, equals, text = word.partition("=")
         if not equals:
             raise InvalidInputError(f"{form}, got {word!r}")
-        made[name] = text
-    return made
+        pairs[name] = text
+    return pairs
 
 
-def misplaced(command: Any, own: Mapping[str, Iterable[str]], what: str) -> str | None:
+def misplaced(command: Any, options: Mapping[str, Iterable[str]], what: str) -> str | None:
     """Return the first given option that belongs only to other entries than `what`, or None."""
-    others = {name for names in own.values() for name in names} - {*own[what]}
+    others = {name for names in options.values() for name in names} - {*options[what]}
     given = (item.name for item in fields(command) if getattr(command, item.name) != item.default)
     return next((name for name in given if name in others), None)
 
@@ -101,10 +99,7 @@ Wrench = Annotated[tuple[float, float, float, float, float, float], SIX]
 
 
 def listed(module: str, table: str) -> Any:
-    """Restrict an option to the names in a module's table.
-
-    If the module's extra is missing, any text passes: the command names the extra.
-    """
+    """Restrict an option to the names in a module's table; any text if its extra is missing."""
     try:
         return one_of(getattr(import_module(module), table))
     except MissingExtraError:

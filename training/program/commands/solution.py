@@ -48,19 +48,15 @@ def print_solution(solution: ForceSolution, grasp: Grasp, title: str) -> None:
 
     columns = ["contact", "normal [N]", "o [N]", "t [N]", "margin [N]"]
     soft = bool(grasp.models.torsional_friction.any())
-    table = Table(
-        *columns, *(["torsion [N m]"] if soft else []), title=f"{title}: {solution.status.value}"
-    )
+    if soft:
+        columns.append("torsion [N m]")
+    table = Table(*columns, title=f"{title}: {solution.status.value}")
     margins = grasp.cone_margins(solution.force)
-    for k, (force, margin, torsion) in enumerate(
-        zip(solution.force, margins, solution.torsion, strict=True)
-    ):
-        row = [
-            *(f"{value:.4f}" for value in force),
-            f"{margin:.4f}",
-            *([f"{torsion:.6f}"] if soft else []),
-        ]
-        table.add_row(str(k), *row)
+    for k, (force, margin) in enumerate(zip(solution.force, margins, strict=True)):
+        row = [str(k), *(f"{value:.4f}" for value in (*force, margin))]
+        if soft:
+            row.append(f"{solution.torsion[k]:.6f}")
+        table.add_row(*row)
     console = Console(highlight=False)
     console.print(table)
     console.print(

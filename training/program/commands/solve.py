@@ -60,7 +60,7 @@ class Solve:
     wrench: Annotated[
         tuple[float, ...] | None,
         SIX,
-        left_out(f"of a preset {' '.join(f'{part:g}' for part in PAPER_CONSTANT)}"),
+        left_out(f"of a preset {' '.join(f'{value:g}' for value in PAPER_CONSTANT)}"),
     ] = None
     preset: Annotated[str, one_of(PRESETS)] = "paper_cuboid"
     grasp: Annotated[Path | None, left_out("the preset", "FILE")] = None
@@ -81,7 +81,7 @@ class Solve:
         """Run the command."""
         grasp, title = self._grasp()
         wrench = self._wrench()
-        title = f"{title}, wrench {' '.join(f'{part:g}' for part in wrench)}"
+        title = f"{title}, wrench {' '.join(f'{value:g}' for value in wrench)}"
         if self.save_grasp is not None:
             sys.stderr.write(f"grasp: {save_grasp(grasp, self.save_grasp)} has the contacts\n")
         if self.initial == "previous":
@@ -97,10 +97,9 @@ class Solve:
                 print_solution(solution, grasp, title)
             solution.raise_for_status()
         except GraspError as error:
-            found = getattr(error, "solution", None)
-            vars(error)["numbers"] = (
-                {"advice": advice} if found is None else numbers(found, grasp, advice)
-            )
+            failed = getattr(error, "solution", None)
+            facts = {"advice": advice} if failed is None else numbers(failed, grasp, advice)
+            vars(error)["numbers"] = facts
             raise
         if self.json:
             write_json(numbers(solution, grasp, advice))
@@ -110,9 +109,9 @@ class Solve:
         if self.grasp is None:
             return preset(self.preset, self.friction), self.preset
         grasp = load_grasp(self.grasp)
-        return grasp if self.friction is None else grasp.with_friction(
-            self.friction
-        ), self.grasp.name
+        if self.friction is not None:
+            grasp = grasp.with_friction(self.friction)
+        return grasp, self.grasp.name
 
     def _wrench(self) -> tuple[float, ...]:
         """Return the external wrench; only presets have the paper's as default."""
@@ -124,7 +123,9 @@ class Solve:
         return PAPER_CONSTANT if self.wrench is None else self.wrench
 
     def _solution(self, grasp: Grasp, wrench: tuple[float, ...]) -> ForceSolution:
-        limited = (self.min_normal, self.max_normal) != (0.0, math.inf)
+        limits = None
+        if (self.min_normal, self.max_normal) != (0.0, math.inf):
+            limits = ForceLimits(min_normal=self.min_normal, max_normal=self.max_normal)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", GraspWarning)  # `advise` has printed it
             return optimize_force(
@@ -133,9 +134,7 @@ class Solve:
                 initial=None if self.initial is None else rule(self.initial),
                 method=self.method,
                 criterion=self.criterion,
-                limits=ForceLimits(min_normal=self.min_normal, max_normal=self.max_normal)
-                if limited
-                else None,
+                limits=limits,
                 barrier_weight=self.barrier_weight,
                 tolerance=self.tolerance,
             )

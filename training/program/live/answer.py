@@ -71,8 +71,8 @@ def answer(
 
     Example:
         >>> from grasp_env.grasp import presets
-        >>> found = answer(presets.paper_cuboid(), np.array([1, 0.5, -0.6, -0.1, 0.2, 0]))
-        >>> found.status, found.solution.iterations
+        >>> result = answer(presets.paper_cuboid(), np.array([1, 0.5, -0.6, -0.1, 0.2, 0]))
+        >>> result.status, result.solution.iterations
         ('held', 5)
     """
     settings: dict[str, Any] = {"method": method, "max_iterations": 5000}
@@ -81,22 +81,19 @@ def answer(
     if math.isfinite(max_normal):
         settings |= {"limits": ForceLimits(max_normal=max_normal), "elastic": True}
     optimizer = ForceOptimizer(grasp, **settings)
-    before = previous if previous is not None and len(previous.force) == grasp.n_contacts else None
+    if previous is not None and len(previous.force) != grasp.n_contacts:
+        previous = None
 
     def solve() -> ForceSolution:
-        optimizer.previous = before
+        optimizer.previous = previous
         return optimizer.solve(wrench)
 
     try:
         solution = solve()
     except InfeasibleWrenchError as error:
         words = "The load moves the object along the red screw; no finger can push against that within its friction cone. "
-        return Answer(
-            "bad",
-            "cannot be held",
-            words + _remedy(grasp, wrench),
-            twist=error.solution.certificate,
-        )
+        words += _remedy(grasp, wrench)
+        return Answer("bad", "cannot be held", words, twist=error.solution.certificate)
     columns = {"normal, N": solution.force[:, 0], "margin, N": grasp.cone_margins(solution.force)}
     facts = {
         "total normal force": f"{solution.total_normal_force:.2f} N",
@@ -105,7 +102,7 @@ def answer(
         "optimum within": f"{solution.lower_bound:.6g} … {solution.objective:.6g}",
         "one solve": f"{1e6 * min(timeit.repeat(solve, number=1, repeat=3)):.1f} µs",
     }
-    mood = "good"
+    mood: Mood = "good"
     status = "held"
     words = "The fingers balance the load, every force inside its friction cone."
     if solution.status is Status.LIMITS_EXCEEDED:

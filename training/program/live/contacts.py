@@ -52,13 +52,16 @@ class BareContacts(Window):
         method: str,
         rule: Callable[[str], str | InitialForceRule],
     ) -> None:
-        self._grasp, (self._name, self._mesh), self._rule = grasp, body_of(grasp), cache(rule)
-        self.answer, self._extent = answer(grasp, wrench, method), float(self._mesh.extents.max())
-        self._force_scale = _FORCE / float(
-            self.answer.columns.get("normal, N", np.array([5.0])).max()
-        )
-        sizes = np.linalg.norm(wrench[:3]) or 1.0, np.linalg.norm(wrench[3:]) or 0.1
-        self._load_scales = np.array([[_LOAD / sizes[0]], [_MOMENT / sizes[1]]])
+        self._grasp = grasp
+        self._name, self._mesh = body_of(grasp)
+        self._rule = cache(rule)
+        self._extent = float(self._mesh.extents.max())
+        self.answer = answer(grasp, wrench, method)
+        normals = self.answer.columns.get("normal, N", np.array([5.0]))
+        self._force_scale = _FORCE / float(normals.max())
+        force = np.linalg.norm(wrench[:3]) or 1.0
+        moment = np.linalg.norm(wrench[3:]) or 0.1
+        self._load_scales = np.array([[_LOAD / force], [_MOMENT / moment]])
         super().__init__(port, HINT)
         self._add_controls(wrench, method)
         self._add_load()
@@ -69,9 +72,9 @@ class BareContacts(Window):
         shape = self.shape.value
         count = int(self.count.value)
         if (shape, count) != self._standing:
-            mesh = (
-                self._mesh if shape == self._name else look.object_mesh(shape, (self._extent,) * 3)
-            )
+            mesh = self._mesh
+            if shape != self._name:
+                mesh = look.object_mesh(shape, (self._extent,) * 3)
             self._stand(mesh, *place_contacts(mesh, count))
         wrench = np.array([*self.force.value, *self.moment.value])
         friction = float(self.friction.value)
@@ -83,18 +86,16 @@ class BareContacts(Window):
             start = self._rule(self.start.value)
             weight = 10.0**self.weight.value
             previous = self.answer.solution
-            self.answer = found = answer(
-                grasp, wrench, self.method.value, start, weight, limit, previous
-            )
+            self.answer = answer(grasp, wrench, self.method.value, start, weight, limit, previous)
             advice = advise(grasp)
-            if found.solution is not None:
-                forces = grasp.to_object_frame(found.solution.force)
+            if self.answer.solution is not None:
+                forces = grasp.to_object_frame(self.answer.solution.force)
         except GraspError as error:
-            self.answer = found = Answer("bad", "not solved", f"{error}")
-        bad = found.mood == "bad"
-        twist = found.twist
-        names = [f"contact {k + 1}" for k in range(len(forces))] if found.columns else []
-        self.show(found.mood, found.status, found.words, names, found.columns, found.facts, advice)
+            self.answer = Answer("bad", "not solved", f"{error}")
+        bad = self.answer.mood == "bad"
+        twist = self.answer.twist
+        names = [f"contact {k + 1}" for k in range(len(forces))] if self.answer.columns else []
+        self.show(self.answer, names, advice)
         self._body.color = look.BAD if bad else look.BODY
         frames = contact_frames(self.normals)
         cones = np.full(len(forces), friction)
@@ -125,18 +126,18 @@ class BareContacts(Window):
 
     def _drag_load(self, control: Any, scale: Array, event: Any) -> None:
         """Move the ball at an arrow's head with the mouse, in the plane of the screen."""
-        if event.phase == "start":  # the mouse met the ball beside its centre
-            self._beside = scale * np.array(control.value) - np.array(event.start_position)
-        control.value = ((np.array(event.end_position) + self._beside) / scale).round(4)
+        if event.phase == "start":  # the mouse hit the ball beside its centre
+            self._offset = scale * np.array(control.value) - np.array(event.start_position)
+        control.value = ((np.array(event.end_position) + self._offset) / scale).round(4)
 
     def _drag_contact(self, k: int, event: Any) -> None:
         """Move contact k to the point of the object under the mouse; beside the object it stays."""
         eye = np.array(event.client.camera.position)
         mouse = np.array(event.end_position)
-        met = cast_ray(self.mesh, self._extent * eye, self._extent * mouse)
-        if met is not None and k < len(self.positions):
+        hit = cast_ray(self.mesh, self._extent * eye, self._extent * mouse)
+        if hit is not None and k < len(self.positions):
             self.positions, self.normals = self.positions.copy(), self.normals.copy()
-            self.positions[k], self.normals[k] = met
+            self.positions[k], self.normals[k] = hit
 
     def _add_controls(self, wrench: Array, method: str) -> None:
         gui = self.gui
@@ -161,9 +162,9 @@ class BareContacts(Window):
             )
         self.again = gui.add_button("Start again", color="gray")
         self.on(self.again.on_click, self._reset)
-        load = (self.force, self.moment)
         contacts = (self.shape, self.count, self.friction, self.limit)
-        controls: list[Any] = [*load, *contacts, self.method, self.start, self.weight]
+        solver = (self.method, self.start, self.weight)
+        controls: list[Any] = [self.force, self.moment, *contacts, *solver]
         for control in controls:
             self.on(control.on_update)
         self._first = [(control, control.value) for control in controls]
@@ -205,12 +206,12 @@ def place_contacts(mesh: trimesh.Trimesh, count: int) -> tuple[Array, Array]:
         [0.62 * np.cos(around), 0.62 * np.sin(around), np.full(count - 1, 0.785)]
     )
     centre = mesh.bounds.mean(axis=0)
-    found = [
-        cast_ray(mesh, centre + 10.0 * mesh.scale * away, centre)
-        for away in np.vstack([[[0.0, 0.0, -1.0]], front])
+    hits = [
+        cast_ray(mesh, centre + 10.0 * mesh.scale * direction, centre)
+        for direction in np.vstack([[[0.0, 0.0, -1.0]], front])
     ]
-    places, normals = zip(*(each for each in found if each is not None), strict=True)
-    return np.array(places), np.array(normals)
+    points, normals = zip(*(hit for hit in hits if hit is not None), strict=True)
+    return np.array(points), np.array(normals)
 
 
 def body_of(grasp: Grasp) -> tuple[str, trimesh.Trimesh]:
@@ -218,14 +219,11 @@ def body_of(grasp: Grasp) -> tuple[str, trimesh.Trimesh]:
     extent = 2.0 * float(np.abs(grasp.positions).max())
     for shape in SHAPES:
         mesh = look.object_mesh(shape, (extent, extent, extent))
-        heights = grasp.positions @ mesh.face_normals.T - (
-            mesh.triangles_center * mesh.face_normals
-        ).sum(axis=1)
+        planes = (mesh.triangles_center * mesh.face_normals).sum(axis=1)
+        heights = grasp.positions @ mesh.face_normals.T - planes
         outward = mesh.face_normals[heights.argmax(axis=1)]
-        if (
-            np.abs(heights.max(axis=1)).max() < 2e-3 * extent
-            and (outward * grasp.normals).sum(axis=1).max() < -0.995
-        ):
+        on_surface = np.abs(heights.max(axis=1)).max() < 2e-3 * extent
+        if on_surface and (outward * grasp.normals).sum(axis=1).max() < -0.995:
             return shape, mesh
     # points beside each contact in its tangent plane, since contacts in one plane have no hull
     away = 0.02 * float(np.ptp(grasp.positions, axis=0).max()) * grasp.frames

@@ -21,7 +21,7 @@ from grasp_env.inputs.arguments import Array
 from grasp_env.sim.objects.description import SHAPES_WITHOUT_MESH
 from grasp_env.task.motion import resting_target
 from training.program.live import look
-from training.program.live.answer import STARTS, Mood
+from training.program.live.answer import STARTS, Answer, Mood
 from training.program.live.window import Window
 
 HINT = "**Drag** the object to pull it; elsewhere the mouse turns the view."
@@ -59,9 +59,11 @@ class SimulatedHand(Window):
         self, port: int, config: EnvConfig, rule: Callable[[str], str | InitialForceRule]
     ) -> None:
         self._config = config.override(task="hold", disturbance="none", randomize=()).resolved()
-        self._rule, self._target, self._trouble = rule, resting_target(1)[0], []
+        self._rule = rule
+        self._target = resting_target(1)[0]
+        self._trouble = []
         self._settings = config.object.shape, 100, config.solver.method, STARTS[0]
-        self.stage, self.loop = self._made(*self._settings)
+        self.stage, self.loop = self._simulation(*self._settings)
         super().__init__(port, HINT)
         self._add_controls()
         self._pull: Any = self.scene.add_arrows(
@@ -71,14 +73,14 @@ class SimulatedHand(Window):
 
     def draw(self) -> None:
         """Apply the controls, simulate up to the present, and draw."""
-        wanted = self.shape.value, int(self.motors.value), self.method.value, self.start.value
-        if wanted != self._settings:
-            self._settings = wanted
+        settings = self.shape.value, int(self.motors.value), self.method.value, self.start.value
+        if settings != self._settings:
+            self._settings = settings
             self._trouble = []
             try:
-                made = self._made(*wanted)
+                simulation = self._simulation(*settings)
                 self.stage.scene.close()
-                self.stage, self.loop = made
+                self.stage, self.loop = simulation
                 self._add_bodies()
             except GraspError as error:  # the hand cannot hold that object and keeps its own
                 self._trouble = [f"{error}"]
@@ -106,20 +108,17 @@ class SimulatedHand(Window):
         config = self._config
         loop = self.loop
         scene = self.stage.scene
+        ticks_per_step = config.controller.rate // config.agent.rate
         try:
             for _ in range(0 if self._gone else ticks):
                 force = scene.look().rotation.T @ self.pull()
                 wrench = np.array([*force, *np.cross(self.grip, force)])
-                due = (
-                    round(self.time / loop.dt) % (config.controller.rate // config.agent.rate) == 0
-                )
+                due = round(self.time / loop.dt) % ticks_per_step == 0
                 if due:
                     loop.begin_step()
                 scene.advance(loop.tick(wrench, scene.gravity, self._target, due), wrench.tolist())
-                self.time, self._open = (
-                    self.time + loop.dt,
-                    0.0 if loop.closure else self._open + loop.dt,
-                )
+                self.time += loop.dt
+                self._open = 0.0 if loop.closure else self._open + loop.dt
             scene.look()
         except GraspError as error:
             self._trouble = [f"The simulation failed and the hand took hold again: {error}"]
@@ -129,41 +128,32 @@ class SimulatedHand(Window):
         tilt = self.outcome.tilt
         limits = config.limits
         self._gone = drift > 1.0
+        if self._lost:
+            return
         if drift > (limits.max_drift or math.inf) or tilt > (limits.max_tilt or math.inf):
             self._lost = (
-                self._lost
-                or f"It moved {1e3 * drift:.0f} mm and turned {math.degrees(tilt):.0f} degrees."
+                f"It moved {1e3 * drift:.0f} mm and turned {math.degrees(tilt):.0f} degrees."
             )
         elif self._open > limits.max_contact_gap:
-            self._lost = self._lost or "The fingers that still touch it cannot balance the load."
+            self._lost = "The fingers that still touch it cannot balance the load."
 
     def status(self) -> tuple[Mood, str, str]:
         """Return mood, status and explanation, as of an `Answer`."""
         if self._lost:
-            return (
-                "bad",
-                "lost",
-                f"{self._lost} Take hold again; then pull less, or raise the friction.",
-            )
+            words = f"{self._lost} Take hold again; then pull less, or raise the friction."
+            return "bad", "lost", words
         if not self.loop.closure:
-            return (
-                "warning",
-                "slipping",
-                "The fingers that touch cannot balance this load: each keeps within its cone.",
-            )
+            words = "The fingers that touch cannot balance this load: each keeps within its cone."
+            return "warning", "slipping", words
         if self.loop.effort.saturated:
-            return (
-                "warning",
-                "motors at their limit",
-                "No force within the joints' torques balances this load.",
-            )
-        return (
-            "good",
-            "held",
-            "The fingers balance gravity and the pull, every commanded force inside its cone.",
-        )
+            words = "No force within the joints' torques balances this load."
+            return "warning", "motors at their limit", words
+        words = "The fingers balance gravity and the pull, every commanded force inside its cone."
+        return "good", "held", words
 
-    def _made(self, shape: str, motors: int, method: str, start: str) -> tuple[Stage, ForceLoop]:
+    def _simulation(
+        self, shape: str, motors: int, method: str, start: str
+    ) -> tuple[Stage, ForceLoop]:
         hand: Any = self._config.hand
         links = tuple(
             replace(link, torque_limit=0.01 * motors * link.torque_limit) for link in hand.links
@@ -185,13 +175,10 @@ class SimulatedHand(Window):
         """Reset: the hand holds the object at rest, with its original mass and friction."""
         item = self.stage.episode.object
         self.stage.set(np.random.default_rng(0))
-        self.time, self._open, self._lost, self._gone, self._until = (
-            0.0,
-            0.0,
-            "",
-            False,
-            time.monotonic(),
-        )
+        self.time = self._open = 0.0
+        self._lost = ""
+        self._gone = False
+        self._until = time.monotonic()
         self.grip = np.zeros(3)
         self.mouse = None
         self.mass.value = item.mass
@@ -244,13 +231,10 @@ class SimulatedHand(Window):
         bodies = look.link_meshes((config.hand.palm, *config.hand.links))
         for k, (meshes, (rotation, origin)) in enumerate(zip(bodies, poses, strict=True)):
             self._links.append(self.scene.add_frame(f"/hand/{k}", show_axes=False))
-            for part, (mesh, color) in enumerate(meshes):
-                name = f"/hand/{k}/{part}"
+            for i, (mesh, color) in enumerate(meshes):
+                options = {"color": color, "opacity": 0.7, "flat_shading": len(mesh.faces) < 50}
                 corners = zoom * mesh.vertices
-                flat = len(mesh.faces) < 50
-                self.scene.add_mesh_simple(
-                    name, corners, mesh.faces, color=color, opacity=0.7, flat_shading=flat
-                )
+                self.scene.add_mesh_simple(f"/hand/{k}/{i}", corners, mesh.faces, **options)
                 points.append(mesh.vertices @ rotation.T + origin)
         self.look_at(zoom * np.vstack(points).min(axis=0), zoom * np.vstack(points).max(axis=0))
 
@@ -271,15 +255,17 @@ class SimulatedHand(Window):
         self._body.color = look.BAD if mood == "bad" else look.BODY
         frames = snapshot.rotation @ loop.frames
         friction = np.where(forces.any(axis=1), loop.friction, 0.0)
-        pushes = np.einsum("nij,nj->ni", frames, forces)
-        self._contacts.draw(zoom * snapshot.touch, frames, pushes, friction, mood == "bad")
+        world_forces = np.einsum("nij,nj->ni", frames, forces)
+        self._contacts.draw(zoom * snapshot.touch, frames, world_forces, friction, mood == "bad")
         grip = zoom * (snapshot.position + snapshot.rotation @ self.grip)
-        self._pull.visible, self._pull.points = (
-            bool(pull.any()),
-            np.array([[grip, grip + _FORCE * pull]]),
-        )
+        self._pull.visible = bool(pull.any())
+        self._pull.points = np.array([[grip, grip + _FORCE * pull]])
         margins = loop.friction * forces[:, 0] - np.hypot(forces[:, 1], forces[:, 2])
-        columns = {"wanted, N": forces[:, 0], "felt, N": self._measured[:, 0], "margin, N": margins}
+        columns = {
+            "commanded, N": forces[:, 0],
+            "measured, N": self._measured[:, 0],
+            "margin, N": margins,
+        }
         facts = {
             "pulled with": f"{np.linalg.norm(pull):.1f} N",
             "least torque margin": f"{loop.effort.margin:.3f} N m",
@@ -288,4 +274,4 @@ class SimulatedHand(Window):
             "simulated": f"{self.time:.1f} s",
         }
         names = self.stage.kinematics.hand.finger_names
-        self.show(mood, status, words, names, columns, facts, self._trouble)
+        self.show(Answer(mood, status, words, None, columns, facts), names, self._trouble)

@@ -43,14 +43,12 @@ def add_body(scene: viser.SceneApi, mesh: trimesh.Trimesh, zoom: float) -> tuple
     bent = mesh.face_adjacency_angles > math.radians(30.0)
     edges = mesh.vertices[mesh.face_adjacency_edges[bent]] if bent.any() else np.zeros((1, 2, 3))
     frame = scene.add_frame("/object", show_axes=False)
-    corners = zoom * mesh.vertices
-    flat = len(mesh.faces) < 500
     scene.add_line_segments(
         "/object/edges", zoom * edges, (90, 104, 124), thickness=1.6, thickness_units="screen"
     )
-    return frame, scene.add_mesh_simple(
-        "/object/body", corners, mesh.faces, color=BODY, opacity=0.4, flat_shading=flat
-    )
+    options = {"color": BODY, "opacity": 0.4, "flat_shading": len(mesh.faces) < 500}
+    body = scene.add_mesh_simple("/object/body", zoom * mesh.vertices, mesh.faces, **options)
+    return frame, body
 
 
 class Contacts:
@@ -64,13 +62,13 @@ class Contacts:
 
     def __init__(self, scene: viser.SceneApi, count: int, force_scale: float) -> None:
         scene.remove_by_name("/contacts")
-        self._force_scale, self._colors = (
-            force_scale,
-            [COLORS[k % len(COLORS)] for k in range(count)],
-        )
+        self._force_scale = force_scale
+        self._colors = [COLORS[k % len(COLORS)] for k in range(count)]
         around = 1 + np.arange(_CONE_SIDES)
         mantle = np.column_stack([np.zeros_like(around), around, 1 + around % _CONE_SIDES])
-        self.points, self._cones, blank = [], [], np.zeros((_CONE_SIDES + 1, 3))
+        self.points = []
+        self._cones = []
+        blank = np.zeros((_CONE_SIDES + 1, 3))
         for k, color in enumerate(self._colors):
             self.points.append(scene.add_icosphere(f"/contacts/{k}", 0.05, color))
             cone = scene.add_mesh_simple(
@@ -95,10 +93,8 @@ class Contacts:
         circle = np.column_stack([-np.ones(_CONE_SIDES), np.cos(angles), np.sin(angles)])
         for k, (point, cone) in enumerate(zip(self.points, self._cones, strict=True)):
             rim = circle * [1.0, friction[k], friction[k]] @ frames[k].T
-            cone.vertices, cone.visible = (
-                _CONE_HEIGHT * np.vstack([np.zeros(3), rim]),
-                bool(friction[k] > 0.0),
-            )
+            cone.vertices = _CONE_HEIGHT * np.vstack([np.zeros(3), rim])
+            cone.visible = bool(friction[k] > 0.0)
             point.position = places[k]
             point.color = BAD if bad else self._colors[k]
             cone.color = point.color

@@ -6,7 +6,7 @@ import html
 import math
 import sys
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from functools import partial
 from itertools import cycle
@@ -19,7 +19,7 @@ from viser.infra import StateSerializer
 
 from grasp_env.inputs.arguments import Array
 from grasp_env.inputs.files import file_fault, replacing
-from training.program.live.answer import Mood
+from training.program.live.answer import Answer, Mood
 from training.program.live.look import BAD, COLORS, Color
 from training.program.live.server import LocalServer
 
@@ -54,7 +54,8 @@ class Window:
         self.scene.configure_environment_map(None)
         self.scene.add_light_ambient("/light", intensity=1.2)
         self._status = self.scene.add_label("/status", "", anchor="bottom-center")
-        self._panel, _ = self.gui.add_html(""), self.gui.add_markdown(hint)
+        self._panel = self.gui.add_html("")
+        self.gui.add_markdown(hint)
         self._acts: SimpleQueue[Callable[[], object]] = SimpleQueue()
         self._recording: StateSerializer | None = None
         self._path = Path()
@@ -89,49 +90,37 @@ class Window:
         )
         self._status.position = (0.0, high[1] + 0.15, 0.0)
 
-    def show(
-        self,
-        mood: Mood,
-        status: str,
-        words: str,
-        names: Sequence[str],
-        columns: Mapping[str, Array],
-        facts: Mapping[str, str],
-        advice: Iterable[str],
-    ) -> None:
-        """Show status, explanation, the contacts' names and numbers (N,), facts and advice."""
-        title = f'<b style="font-size:17px">{_dot(MOODS[mood])}{html.escape(status)}</b>'
-        notes = "".join(
-            f"<p>{html.escape(text)}</p>" for text in (words, *(f"⚠ {text}" for text in advice))
+    def show(self, answer: Answer, names: Sequence[str], advice: Iterable[str]) -> None:
+        """Show an answer, with the names of its contacts, and advice."""
+        title = (
+            f'<b style="font-size:17px">{_dot(MOODS[answer.mood])}{html.escape(answer.status)}</b>'
         )
-        table = _row("", *columns) if names else ""
-        for name, color, row in zip(
-            names, cycle(COLORS), zip(*columns.values(), strict=True), strict=False
-        ):
+        texts = (answer.words, *(f"⚠ {text}" for text in advice))
+        notes = "".join(f"<p>{html.escape(text)}</p>" for text in texts)
+        table = _row("", *answer.columns) if names else ""
+        rows = zip(*answer.columns.values(), strict=True)
+        for name, color, row in zip(names, cycle(COLORS), rows, strict=False):
             table += _row(_dot(color) + html.escape(name), *(f"{number:.2f}" for number in row))
-        lines = "".join(_row(*fact) for fact in facts.items())
+        lines = "".join(_row(*fact) for fact in answer.facts.items())
         tables = "".join(f'<table style="width:100%">{rows}</table>' for rows in (table, lines))
         self._panel.content = (
             f'<div style="font:13px sans-serif;padding:0 10px">{title}{notes}{tables}</div>'
         )
-        self._status.text = "" if mood == "good" else status
+        self._status.text = "" if answer.mood == "good" else answer.status
 
     def run(self, seconds: float = math.inf, record: Path | None = None) -> None:
         """Show the page for `seconds` or until ctrl-C; `record` is an .html file to record into."""
         end = time.monotonic() + seconds
         hint = f"up to {MAX_RECORDED:.0f} s, to one HTML file in this folder"
-        self._button, self._note = (
-            self.gui.add_button("Record", hint=hint),
-            self.gui.add_markdown(""),
-        )
+        self._button = self.gui.add_button("Record", hint=hint)
+        self._note = self.gui.add_markdown("")
         self.on(self._button.on_click, self._press)
         try:
             self._draw()
             if record is not None:
                 self._record(record)
-            sys.stdout.write(
-                f"http://{self.server.get_host()}:{self.server.get_port()}  (Ctrl-C ends it)\n"
-            )
+            address = f"http://{self.server.get_host()}:{self.server.get_port()}"
+            sys.stdout.write(f"{address}  (Ctrl-C ends it)\n")
             sys.stdout.flush()
             while (left := end - time.monotonic()) > 0.0:
                 self.step(min(left, self.period or 1.0))

@@ -1,4 +1,4 @@
-"""Closing of torn meshes by MeshFix (Attene 2010), for `grasp object mend`."""
+"""Repair of torn meshes by MeshFix (Attene 2010), for `grasp object mend`."""
 
 from __future__ import annotations
 
@@ -18,26 +18,26 @@ from grasp_env.sim.objects.reading import MeshFile, read_mesh
 LONGEST = 180.0
 """Longest run of MeshFix [s].
 
-80,000 faces with a twentieth of them missing take 8; on some inputs it never ends.
+80,000 faces with a twentieth of them missing take 8 s; on some inputs it never ends.
 """
 _GRAIN = 1e-5  # share of the extent within which corners are welded
-_FEWEST = 3  # faces that a solid exceeds
-_LEFT = 0.5  # least share of the volume that must remain after MeshFix has removed crossing faces
+_FEWEST = 3  # a solid has more faces
+_REMAINS = 0.5  # least share of the volume after MeshFix has removed crossing faces
 _REMESH = (
     "remesh it in Blender (modifier Remesh, mode Voxel) or in MeshLab (filter Surface Reconstruction: Screened Poisson), and export it "
     "as .obj"
 )
 
 
-class Mended(NamedTuple):
-    """A closed mesh, in the units and axes of its file.
+class RepairedMesh(NamedTuple):
+    """Closed mesh, in the units and axes of its file.
 
     Attributes:
         corners: (V, 3).
         faces: (F, 3) int64 indices of corners, counterclockwise from outside.
         parts: number of parts.
-        left_out: number of parts of the file that enclose no volume and are left out.
-        changes: further changes needed to make it one solid, in words.
+        left_out: number of parts that enclose no volume and are left out.
+        changes: further changes that make it one solid, in words.
     """
 
     corners: Array
@@ -47,7 +47,7 @@ class Mended(NamedTuple):
     changes: list[str]
 
 
-def mended(corners: Array, faces: Any, name: str) -> Mended:
+def repair_mesh(corners: Array, faces: Any, name: str) -> RepairedMesh:
     """Close every part of a mesh and return them as one solid that an object can have.
 
     MeshFix runs in a process of its own, since it may never end.
@@ -61,41 +61,39 @@ def mended(corners: Array, faces: Any, name: str) -> Mended:
         InvalidInputError: the mesh cannot be closed; the message says what to do.
     """
     need("mend")
+    work = f"{__name__}:closed_parts"
     try:
-        made = apart(
-            f"{__name__}:closed_parts", f"{name}: mending it", LONGEST, corners=corners, faces=faces
-        )
+        parts = apart(work, f"{name}: repairing it", LONGEST, corners=corners, faces=faces)
     except TimeoutError:
         raise InvalidInputError(
-            f"{name} cannot be mended: MeshFix did not end within {LONGEST:.0f} s; simplify it, or {_REMESH}"
+            f"{name} cannot be repaired: MeshFix did not end within {LONGEST:.0f} s; simplify it, or {_REMESH}"
         ) from None
     except ChildProcessError as error:
-        raise InvalidInputError(f"{name} cannot be mended: MeshFix broke off; {_REMESH}") from error
-    corners = made["corners"]
-    faces = made["faces"]
-    parts = int(made["parts"])
-    left_out = int(made["left_out"])
-    if parts == 0:
         raise InvalidInputError(
-            f"{name} cannot be mended: no part of it encloses a volume; {_REMESH}"
+            f"{name} cannot be repaired: MeshFix broke off; {_REMESH}"
+        ) from error
+    count = int(parts["parts"])
+    if count == 0:
+        raise InvalidInputError(
+            f"{name} cannot be repaired: no part of it encloses a volume; {_REMESH}"
         )
     try:
-        corners, faces, changes = close_mesh(corners, faces, name)
+        corners, faces, changes = close_mesh(parts["corners"], parts["faces"], name)
     except InvalidInputError:
         raise InvalidInputError(
-            f"{name} cannot be mended: what MeshFix makes of it is no solid; {_REMESH}"
+            f"{name} cannot be repaired: the result of MeshFix is no solid; {_REMESH}"
         ) from None
-    return Mended(corners, faces, parts, left_out, changes)
+    return RepairedMesh(corners, faces, count, int(parts["left_out"]), changes)
 
 
-def as_obj(mesh: Mended, name: str) -> bytes:
+def as_obj(mesh: RepairedMesh, name: str) -> bytes:
     """Return the text of an .obj file with all digits, checked to read back as a solid.
 
     Raises:
         InvalidInputError: the text is too large to be read, or is not a solid when read back.
     """
     text = obj_text([(mesh.corners, mesh.faces)]).encode()
-    name = f"what MeshFix makes of {name}"
+    name = f"the result of MeshFix for {name}"
     close_mesh(*read_mesh(MeshFile(text, ".obj", name)), name)
     return text
 
@@ -107,38 +105,32 @@ def closed_parts(corners: Array, faces: Any) -> dict[str, Any]:
     cross.
     """
     corners, faces = weld(corners, faces, _GRAIN * extent_of(corners))
-    # no duplicates
-    faces = faces[np.sort(np.unique(np.sort(faces, axis=1), axis=0, return_index=True)[1])]
-    parts = [_own_corners(corners, part) for part in connected_parts(faces)]
-    whole = [not open_edges(numbers) for _, numbers in parts]
-    points = [np.empty((0, 3))]
-    made = [np.empty((0, 3), np.int64)]
-    count = 0
-    for part, good in zip(parts, whole, strict=True):
-        own, numbers = part if good and not all(whole) else _closed_part(*part)
-        if len(numbers) > _FEWEST and not open_edges(numbers):
-            made.append(numbers + sum(map(len, points)))
-            points.append(own)
-            count += 1
-    left_out = len(parts) - count
+    _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)  # no duplicates
+    parts = [_used_corners(corners, part) for part in connected_parts(faces[np.sort(first)])]
+    closed = [not open_edges(indices) for _, indices in parts]
+    all_corners = [np.empty((0, 3))]
+    all_faces = [np.empty((0, 3), np.int64)]
+    for part, is_closed in zip(parts, closed, strict=True):
+        points, indices = part if is_closed and not all(closed) else _closed_part(*part)
+        if len(indices) > _FEWEST and not open_edges(indices):
+            all_faces.append(indices + sum(map(len, all_corners)))
+            all_corners.append(points)
+    count = len(all_faces) - 1
     return {
-        "corners": np.concatenate(points),
-        "faces": np.concatenate(made),
+        "corners": np.concatenate(all_corners),
+        "faces": np.concatenate(all_faces),
         "parts": count,
-        "left_out": left_out,
+        "left_out": len(parts) - count,
     }
 
 
-def _own_corners(corners: Array, faces: Any) -> tuple[Array, Any]:
-    """Return a part's faces, and only the corners that they use."""
-    used, numbers = np.unique(faces, return_inverse=True)
-    return corners[used], numbers.reshape(-1, 3)
+def _used_corners(corners: Array, faces: Any) -> tuple[Array, Any]:
+    used, indices = np.unique(faces, return_inverse=True)
+    return corners[used], indices.reshape(-1, 3)
 
 
 def _closed_part(corners: Array, faces: Any) -> tuple[Array, Any]:
-    """Fill the holes of a part and remove crossing faces, as far as MeshFix can.
-
-    The faces keep their orientation.
+    """Fill holes and remove crossing faces, as far as MeshFix can; faces keep their orientation.
 
     MeshFix cuts a part where holes meet in a corner; the pieces are joined again.
     """
@@ -157,7 +149,7 @@ def _closed_part(corners: Array, faces: Any) -> tuple[Array, Any]:
     fix.clean(10, 3)
     cleaned = _arrays(fix)
     # it may leave only a fragment
-    if open_edges(cleaned[1]) or _size(cleaned) < _LEFT * _size(filled):
+    if open_edges(cleaned[1]) or _size(cleaned) < _REMAINS * _size(filled):
         cleaned = filled
     if len(cleaned[1]) and volume(corners, faces) * volume(*cleaned) < 0.0:
         return cleaned[0], cleaned[1][:, ::-1]
@@ -165,8 +157,8 @@ def _closed_part(corners: Array, faces: Any) -> tuple[Array, Any]:
 
 
 def _arrays(fix: Any) -> tuple[Array, Any]:
-    points, numbers = (np.asarray(array) for array in fix.return_arrays())
-    return points, numbers.astype(np.int64).reshape(-1, 3)
+    points, faces = (np.asarray(array) for array in fix.return_arrays())
+    return points, faces.astype(np.int64).reshape(-1, 3)
 
 
 def _size(part: tuple[Array, Any]) -> float:
