@@ -110,28 +110,26 @@ class FitConfig:
                 whole range of friction.
         """
         grasp = self.contacts()
-        own = float(grasp.friction.mean())
+        mean = float(grasp.friction.mean())
         low = self.friction_low or next(
-            mu for mu in own * np.linspace(LEAST, 1.0, 16) if closes(grasp, float(mu))
+            mu for mu in mean * np.linspace(LEAST, 1.0, 16) if closes(grasp, float(mu))
         )
-        high = self.friction_high or MOST * own
+        high = self.friction_high or MOST * mean
         _ordered("friction_low", low, "friction_high", high)
         if not closes(grasp, low):
             raise InvalidInputError(
                 f"friction_low must close the grasp, {low:g} does not: give more, or leave it out"
             )
-        made = replace(self, friction_low=float(low), friction_high=float(high))
+        full = replace(self, friction_low=float(low), friction_high=float(high))
         if not self.quick:
-            return made
-        return replace(made, steps=min(self.steps, 5000), samples=min(self.samples, 100_000))
+            return full
+        return replace(full, steps=min(self.steps, 5000), samples=min(self.samples, 100_000))
 
 
 def closes(grasp: Grasp, friction: float) -> bool:
     """Return True if the grasp closes at that mean friction with the margin `CLOSURE`."""
-    return (
-        feasibility(with_mean_friction(grasp, friction), np.zeros(6)).margin
-        > CLOSURE / grasp.n_contacts
-    )
+    margin = feasibility(with_mean_friction(grasp, friction), np.zeros(6)).margin
+    return margin > CLOSURE / grasp.n_contacts
 
 
 def _ordered(low_name: str, low: float, high_name: str, high: float) -> None:

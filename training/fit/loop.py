@@ -27,12 +27,8 @@ WARM = 0.03
 """Share of the training over which the learning rate rises."""
 CLIP = 5.0
 """Largest norm of a gradient."""
-PARTS = 2
-"""Parts of a batch.
-
-Each part's gradient is computed by one thread, and they are added in a fixed order, so that the sum
-has the same
-bits for any number of threads."""
+SHARES = 2
+"""Shares of a batch, each for one thread; the fixed order of their sum keeps its bits."""
 AT_ONCE = 16
 """Number of frictions in a batch; the network has separate weights for each friction."""
 FLOOR = 1e-6
@@ -51,42 +47,42 @@ class NetworkTask:
     def __init__(
         self, config: FitConfig, module: Network, train: Samples, held_out: tuple[Samples, ...]
     ) -> None:
-        self.config, self.module = config, module
-        self._train, self._held_out = train, held_out
+        self.config = config
+        self.module = module
+        self._train = train
+        self._held_out = held_out
 
     def done(self, now: FitProgress) -> float:
         """Return the completed share of the training, 0 to 1 or above."""
-        return (
-            now.cpu_seconds / self.config.seconds
-            if self.config.seconds
-            else now.step / self.config.steps
-        )
+        if self.config.seconds:
+            return now.cpu_seconds / self.config.seconds
+        return now.step / self.config.steps
 
     def batch(self, rng: np.random.Generator) -> list[Samples]:
-        """Draw a batch, in `PARTS` parts."""
-        (frictions, each) = self._train[0].shape[:2]
+        """Draw a batch, in `SHARES` shares."""
+        frictions, count = self._train[0].shape[:2]
         size = self.config.batch_size // AT_ONCE
         # one friction from each part of the range: the gradient of the polynomials varies less
         # between batches
         chosen = ((np.arange(AT_ONCE) + rng.random(AT_ONCE)) * (frictions / AT_ONCE)).astype(int)
-        begin = rng.integers(0, each - size + 1, AT_ONCE)
-        places = [(k, slice(b, b + size)) for k, b in zip(chosen, begin, strict=True)]
-        parts = (places[part::PARTS] for part in range(PARTS))
+        begin = rng.integers(0, count - size + 1, AT_ONCE)
+        blocks = [(k, slice(b, b + size)) for k, b in zip(chosen, begin, strict=True)]
         return [
-            tuple(torch.stack([all_[at] for at in part]) for all_ in self._train) for part in parts
+            tuple(torch.stack([data[at] for at in blocks[share::SHARES]]) for data in self._train)
+            for share in range(SHARES)
         ]  # type: ignore[misc]
 
-    def loss(self, part: Samples) -> Tensor:
-        """Return the loss of a part. Several threads call it at once."""
+    def loss(self, share: Samples) -> Tensor:
+        """Return the loss of a share. Several threads call it at once."""
         # the small power keeps few hard wrenches from dominating the loss; the constant bounds its
         # derivative
-        return (gaps(self.module, part) + FLOOR).pow(self.config.tail).mean()
+        return (gaps(self.module, share) + FLOOR).pow(self.config.tail).mean()
 
     @torch.no_grad()
     def score(self) -> list[float]:
-        """Return percentiles of the gap to second order on each held-out set, one row of the curve."""
-        found = (gaps(self.module, each).numpy() for each in self._held_out)
-        return [float(value) for gap in found for value in np.percentile(gap, PERCENTILES)]
+        """Return percentiles of the gap on each held-out set, one row of the curve."""
+        sets = (gaps(self.module, samples).numpy() for samples in self._held_out)
+        return [float(value) for gap in sets for value in np.percentile(gap, PERCENTILES)]
 
 
 def gaps(network: Network, samples: Samples) -> Tensor:
@@ -95,9 +91,8 @@ def gaps(network: Network, samples: Samples) -> Tensor:
     size = goal.shape[-1]
     outputs = network(inputs).reshape(-1, size, 1)
     goal = goal.reshape(-1, size, 1)
-    return (
-        torch.baddbmm(goal, metric.reshape(-1, size, size), outputs, beta=-1).square().sum((1, 2))
-    )
+    errors = torch.baddbmm(goal, metric.reshape(-1, size, size), outputs, beta=-1)
+    return errors.square().sum((1, 2))
 
 
 def optimise(
@@ -106,10 +101,8 @@ def optimise(
     """Train `task.module`.
 
     Unless time decides, the result has the same bits with any number of threads, and after an
-    interrupt and resume.
-
-    The training is saved in the file `state`, from which `resume` continues. `words` label the
-    progress on stderr (a bar on terminals, else lines); empty: no progress.
+    interrupt and resume. The training is saved in the file `state`, from which `resume` continues.
+    `words` label the progress on stderr (a bar on terminals, else lines); empty: no progress.
 
     Returns:
         Steps, seconds and the curve: rows (step, seconds, *score).
@@ -126,10 +119,10 @@ def optimise(
     if state is not None and resume:
         now = state.restore(task.module, optimiser, rng)
         mark = _next_mark(task.done(now))
-    since = now.seconds - time.perf_counter(), now.cpu_seconds - time.process_time()
+    begun = now.seconds - time.perf_counter(), now.cpu_seconds - time.process_time()
 
-    def gradients(part: Samples) -> tuple[Tensor, ...]:
-        return torch.autograd.grad(task.loss(part), parameters)
+    def gradients(share: Samples) -> tuple[Tensor, ...]:
+        return torch.autograd.grad(task.loss(share), parameters)
 
     with (
         interruptible() as interrupted,
@@ -156,26 +149,21 @@ def optimise(
                 raise KeyboardInterrupt
             for group in optimiser.param_groups:
                 group["lr"] = config.learning_rate * _schedule(done)
-            for parameter, *found in zip(
-                parameters, *pool.map(gradients, task.batch(rng)), strict=True
-            ):
-                parameter.grad = torch.stack(found).mean(dim=0)
+            shares = pool.map(gradients, task.batch(rng))
+            for parameter, *gradient in zip(parameters, *shares, strict=True):
+                parameter.grad = torch.stack(gradient).mean(dim=0)
             nn.utils.clip_grad_norm_(parameters, CLIP)
             optimiser.step()
             now.step += 1
-            now.seconds, now.cpu_seconds = (
-                since[0] + time.perf_counter(),
-                since[1] + time.process_time(),
-            )
+            now.seconds = begun[0] + time.perf_counter()
+            now.cpu_seconds = begun[1] + time.process_time()
 
 
 def _schedule(done: float) -> float:
     """Return the factor of the learning rate: a linear warm-up, then a cosine to zero."""
-    return (
-        done / WARM + 1e-3
-        if done < WARM
-        else 0.5 * (1.0 + math.cos(math.pi * (done - WARM) / (1.0 - WARM))) + 1e-4
-    )
+    if done < WARM:
+        return done / WARM + 1e-3
+    return 0.5 * (1.0 + math.cos(math.pi * (done - WARM) / (1.0 - WARM))) + 1e-4
 
 
 def _next_mark(done: float) -> float:
@@ -193,9 +181,7 @@ def _reporting(
         shown = bar.add_task(f"{words}, {'seconds' if seconds else 'steps'}", total=total)
 
         def report(now: FitProgress, row: list[float]) -> None:
-            ball, whole = (
-                " ".join(f"{value:.0e}" for value in part) for part in (row[:3], row[3:])
-            )
+            ball, whole = (" ".join(f"{value:.0e}" for value in row[k : k + 3]) for k in (0, 3))
             note = f"gaps, median p95 p99: ball {ball}, all {whole}"
             bar.update(shown, completed=round(total * min(1.0, task.done(now))), note=note)
             if words and not console.is_terminal:

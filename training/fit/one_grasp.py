@@ -81,8 +81,8 @@ def fit(
     def labelled(
         generator: np.random.Generator, count: int, groups: int, **keywords: float
     ) -> Samples:
-        drawn = source.draw(generator, count, groups, **keywords)
-        data = label(grasp, reference, objective, *drawn, config.threads)
+        wrenches, frictions = source.draw(generator, count, groups, **keywords)
+        data = label(grasp, reference, objective, wrenches, frictions, config.threads)
         inputs, scale = features(data.wrenches @ grasp.unit_frame.T, data.friction, pairs)
         columns = (
             inputs,
@@ -141,31 +141,32 @@ def fit(
 def _card(
     config: FitConfig, grasp: Grasp, count: int, command: str, now: FitProgress
 ) -> dict[str, Any]:
-    made = provenance()
-    columns = [f"{which} p{p}" for which in ("ball", "range") for p in PERCENTILES]
-    named = {"preset": config.preset} if config.grasp is None else {"file": Path(config.grasp).name}
+    origin = provenance()
+    columns = [f"{name} p{p}" for name in ("ball", "range") for p in PERCENTILES]
     contacts = {
-        "positions": grasp.positions,
-        "normals": grasp.normals,
-        "friction": grasp.models.friction,
+        "positions": grasp.positions.tolist(),
+        "normals": grasp.normals.tolist(),
+        "friction": grasp.models.friction.tolist(),
     }
+    source = {"preset": config.preset}
     moment = f"{MOMENT_RADIUS:g} N m about the origin"
     if config.grasp is not None:
+        source = {"file": Path(config.grasp).name}
         moment = f"1 N times {1e3 * grasp.length:.3g} mm about the contacts' centre"
     return {
         "quick": config.quick,
         "what": "initial grasp force of one grasp, from wrench and friction",
-        "grasp": {**named, **{name: array.tolist() for name, array in contacts.items()}},
+        "grasp": {**source, **contacts},
         "data": f"{count} generated wrenches, {100 * BALL:g} % of them from a ball (force {FORCE_RADIUS:g} N, moment {moment}), "
         f"labelled by Newton to a relative gap of {small(LABEL_GAP)}; others held out",
         "command": command,
-        "config": asdict(config) | named,
+        "config": asdict(config) | source,
         "optimisation_steps": now.step,
         "seconds": round(now.seconds, 1),
         "cpu_seconds": round(now.cpu_seconds, 1),
-        "time": made["time"],
-        "machine": made["machine"] | {"threads": config.threads, "gpu": False},
-        "versions": {name: made["versions"][name] for name in ("torch", "numpy")},
+        "time": origin["time"],
+        "machine": origin["machine"] | {"threads": config.threads, "gpu": False},
+        "versions": {name: origin["versions"][name] for name in ("torch", "numpy")},
         "curve": {
             "columns": ["step", "seconds", *columns],
             "rows": [" ".join(f"{value:.3g}" for value in row) for row in now.curve],

@@ -15,7 +15,7 @@ from training.evaluation.compare.starts import NetworkAlone
 from training.evaluation.compare.trial import TOLERANCE
 
 MOST = 4
-"""Number of Newton steps from which on counts are pooled."""
+"""Number of Newton steps from which on counts are added up."""
 EXACT = 1e-10
 """Relative gap of the optima."""
 
@@ -31,18 +31,18 @@ def scores(
 
     Returns:
         "gap" of the force before any step; "outside the cones": the share before the repair;
-        "newton steps" to a certified gap of
-        1e-4: the shares that need 0, 1, ...; with `flow`, "flow iterations" to 1e-4.
+        "newton steps": the shares that need 0, 1, ... to a certified gap of 1e-4; with `flow`,
+        "flow iterations" to 1e-4.
     """
     alone = NetworkAlone(model)
     rows: list[tuple[float, bool, int, int]] = []
-    for friction, chosen in groupby(range(len(wrenches)), key=lambda k: float(frictions[k])):
+    for friction, indices in groupby(range(len(wrenches)), key=lambda k: float(frictions[k])):
         here = with_mean_friction(grasp, friction)
         exact, newton = (
             optimizer(here, "newton", model.objective, gap) for gap in (EXACT, TOLERANCE)
         )
         reduced = optimizer(here, FLOW, model.objective, TOLERANCE) if flow else newton
-        for wrench in wrenches[list(chosen)]:
+        for wrench in wrenches[list(indices)]:
             raw = model.raw(here, wrench)
             start = alone(here, wrench)
             gap = model.objective.value(here.to_cone(start)) / exact.solve(wrench).objective - 1.0
@@ -52,16 +52,13 @@ def scores(
     gaps, outside, steps, iterations = np.array(rows).T
     names = [*map(str, range(MOST)), f"{MOST} or more"]
     shares = {name: float((np.minimum(steps, MOST) == k).mean()) for k, name in enumerate(names)}
-    found = {
+    result: dict[str, Any] = {
         "wrenches": len(rows),
         "gap": quantiles(gaps),
         "outside the cones": float(outside.mean()),
+        "newton steps": shares,
     }
-    return (
-        found
-        | {"newton steps": shares}
-        | ({"flow iterations": quantiles(iterations)} if flow else {})
-    )
+    return result | ({"flow iterations": quantiles(iterations)} if flow else {})
 
 
 def quantiles(values: np.ndarray) -> dict[str, float]:
@@ -71,7 +68,6 @@ def quantiles(values: np.ndarray) -> dict[str, float]:
         >>> quantiles(np.arange(101.0))
         {'n': 101, 'median': 50.0, 'p90': 90.0, 'p99': 99.0, 'max': 100.0}
     """
-    points = zip(
-        ("median", "p90", "p99", "max"), np.percentile(values, [50, 90, 99, 100]), strict=True
-    )
-    return {"n": len(values), **{name: float(point) for name, point in points}}
+    points = np.percentile(values, [50, 90, 99, 100]).tolist()
+    names = ("median", "p90", "p99", "max")
+    return {"n": len(values), **dict(zip(names, points, strict=True))}

@@ -1,7 +1,7 @@
 """SOAP: Adam in the eigenbasis of Shampoo's preconditioner (Vyas et al., 2024).
 
-A regression that must be exact needs far fewer steps than with Adam. With layers this narrow its
-few small products cost little compared with the batch.
+An exact regression takes far fewer steps than with Adam, and with narrow layers the products are
+cheap.
 """
 
 from __future__ import annotations
@@ -47,7 +47,8 @@ def _direction(state: dict[str, Any], gradient: Tensor) -> Tensor:
     sides = {"rows": gradient @ gradient.T, "columns": gradient.T @ gradient}
     if not state:
         state["step"] = torch.zeros(())
-        state["mean"], state["square"] = torch.zeros_like(gradient), torch.zeros_like(gradient)
+        state["mean"] = torch.zeros_like(gradient)
+        state["square"] = torch.zeros_like(gradient)
         for name, product in sides.items():
             state[name] = product
             state[f"{name} basis"] = torch.linalg.eigh(product)[1].contiguous()
@@ -65,7 +66,6 @@ def _direction(state: dict[str, Any], gradient: Tensor) -> Tensor:
         state[name].lerp_(product, 1.0 - DECAY)
         # a power iteration follows the slowly turning eigenvectors
         if int(state["step"]) % EVERY == 0:
-            state[f"{name} basis"] = torch.linalg.qr(state[name] @ state[f"{name} basis"])[
-                0
-            ].contiguous()
+            turned = state[name] @ state[f"{name} basis"]
+            state[f"{name} basis"] = torch.linalg.qr(turned)[0].contiguous()
     return rows @ scaled @ columns.T

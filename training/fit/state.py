@@ -25,7 +25,7 @@ SPACE = 32_000_000
 
 @dataclass
 class FitProgress:
-    """FitProgress of a training.
+    """Progress of a training.
 
     Attributes:
         step: optimisation steps taken.
@@ -55,9 +55,7 @@ class StateFile:
 
     @classmethod
     def begin(cls, out: Path | None, settings: dict[str, Any], resume: bool) -> StateFile | None:
-        """Return the state file of a training, None if `out` is None.
-
-        It can be written and, if asked for, resumed.
+        """Return the state file of a training, checked to be writable; None if `out` is None.
 
         Raises:
             InvalidInputError: the folder cannot be written, its disk is too full, or it holds an

@@ -19,6 +19,7 @@ _WIDTHS = [64, 64]
 _MEAN_GAIN = 0.01
 """Gain of the mean action's last layer: stable-baselines3's for PPO, also used for SAC."""
 _REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+_MOMENTS = ("mean", "var", "count")
 Arrays = dict[str, dict[str, np.ndarray]]
 
 
@@ -69,16 +70,8 @@ def build(config: RLConfig, envs: VecNormalize, seed: int) -> PPO | SAC:
         # steps of an environment: eight batches
         rollout = 8 * max(config.rollout // config.envs // 8, 1)
         policy = {"net_arch": _WIDTHS, "log_std_init": math.log(config.deviation)}
-        size = rollout * config.envs // 8
-        return PPO(
-            "MlpPolicy",
-            envs,
-            n_steps=rollout,
-            batch_size=size,
-            n_epochs=10,
-            policy_kwargs=policy,
-            **common,
-        )
+        options = {"n_steps": rollout, "batch_size": rollout * config.envs // 8, "n_epochs": 10}
+        return PPO("MlpPolicy", envs, policy_kwargs=policy, **options, **common)
     # entropy of a normal distribution with that deviation; SAC's temperature keeps the exploration
     # there
     entropy = math.log(config.deviation * math.sqrt(2.0 * math.pi * math.e))
@@ -106,19 +99,17 @@ def build(config: RLConfig, envs: VecNormalize, seed: int) -> PPO | SAC:
 
 def arrays(agent: PPO | SAC, envs: VecNormalize) -> Arrays:
     """Return "policy", "optimiser", "normaliser" and, of SAC, "replay" as arrays by name."""
-    found = agent.get_parameters()
-    out: dict[str, dict[str, Any]] = {"policy": found.pop("policy")}
+    parameters = agent.get_parameters()
+    out: dict[str, dict[str, Any]] = {"policy": parameters.pop("policy")}
     out["optimiser"] = {
-        f"{name}/{place}/{key}": value
-        for name, optimiser in found.items()
-        for place, values in optimiser["state"].items()
+        f"{name}/{index}/{key}": value
+        for name, optimiser in parameters.items()
+        for index, values in optimiser["state"].items()
         for key, value in values.items()
     }
     out["normaliser"] = {"epsilon": envs.epsilon, "clip": envs.clip_obs}
     for prefix, running in _running(envs).items():
-        out["normaliser"] |= {
-            f"{prefix}{part}": getattr(running, part) for part in ("mean", "var", "count")
-        }
+        out["normaliser"] |= {f"{prefix}{name}": getattr(running, name) for name in _MOMENTS}
     if isinstance(agent, SAC):
         replay: Any = agent.replay_buffer
         out["optimiser"]["log_ent_coef"] = agent.log_ent_coef
@@ -139,24 +130,20 @@ def restore(agent: PPO | SAC, envs: VecNormalize, saved: Arrays) -> None:
     """
     try:
         parameters: Any = agent.get_parameters()
-        held = {name: torch.from_numpy(value.copy()) for name, value in saved["optimiser"].items()}
+        state = _tensors(saved["optimiser"])
         if isinstance(agent, SAC):
             replay: Any = agent.replay_buffer
-            agent.log_ent_coef.data.copy_(held.pop("log_ent_coef"))  # type: ignore[union-attr]
+            agent.log_ent_coef.data.copy_(state.pop("log_ent_coef"))  # type: ignore[union-attr]
             for name in _REPLAY:
                 getattr(replay, name)[: len(saved["replay"][name])] = saved["replay"][name]
             replay.pos, replay.full = int(saved["replay"]["pos"]), bool(saved["replay"]["full"])
-        parameters["policy"] = {
-            name: torch.from_numpy(value.copy()) for name, value in saved["policy"].items()
-        }
-        for path, value in held.items():
-            name, place, key = path.split("/")
-            parameters[name]["state"].setdefault(int(place), {})[key] = value
+        parameters["policy"] = _tensors(saved["policy"])
+        for path, value in state.items():
+            name, index, key = path.split("/")
+            parameters[name]["state"].setdefault(int(index), {})[key] = value
         agent.set_parameters(parameters)
         for prefix, running in _running(envs).items():
-            mean, var, count = (
-                saved["normaliser"][f"{prefix}{part}"] for part in ("mean", "var", "count")
-            )
+            mean, var, count = (saved["normaliser"][f"{prefix}{name}"] for name in _MOMENTS)
             if mean.shape != running.mean.shape:
                 raise ValueError(
                     f"normaliser of {mean.shape}, observations of {running.mean.shape}"
@@ -173,9 +160,11 @@ def _running(envs: VecNormalize) -> dict[str, Any]:
     return {"": envs.obs_rms, "return_": envs.ret_rms}
 
 
+def _tensors(arrays: dict[str, np.ndarray]) -> dict[str, torch.Tensor]:
+    return {name: torch.from_numpy(value.copy()) for name, value in arrays.items()}
+
+
 def _array(value: Any) -> np.ndarray:
-    return (
-        value.detach().cpu().numpy().copy()
-        if isinstance(value, torch.Tensor)
-        else np.asarray(value)
-    )
+    if isinstance(value, torch.Tensor):
+        return value.detach().cpu().numpy().copy()
+    return np.asarray(value)

@@ -71,8 +71,8 @@ class Training:
         deterministic: bool = True,
     ) -> tuple[np.ndarray, Any]:
         """See `Policy`."""
-        seen: Any = self.envs.normalize_obs(np.asarray(observation))
-        return self.agent.predict(seen, deterministic=deterministic)[0], state
+        normalised: Any = self.envs.normalize_obs(np.asarray(observation))
+        return self.agent.predict(normalised, deterministic=deterministic)[0], state
 
     def save(self) -> Path:
         """Write a complete checkpoint under `<folder>/checkpoints`."""
@@ -92,9 +92,9 @@ class Training:
             "cpu_seconds": cpu_seconds,
             "curve": self.curve,
         }
-        held = arrays(agent, self.envs)
-        tensors = {stem: held.pop(stem) for stem in _TENSORS}
-        return write_checkpoint(self.folder / FOLDER, agent.num_timesteps, meta, tensors, held)
+        others = arrays(agent, self.envs)
+        tensors = {stem: others.pop(stem) for stem in _TENSORS}
+        return write_checkpoint(self.folder / FOLDER, agent.num_timesteps, meta, tensors, others)
 
     def resume(self) -> None:
         """Restore the newest checkpoint; new episodes start, with seeds not used before.
@@ -103,14 +103,13 @@ class Training:
             ModelFileError: no complete checkpoint, or one that does not fit.
             InvalidInputError: it was trained with other settings.
         """
-        found = find_checkpoint(self.folder)
+        path = find_checkpoint(self.folder)
         meta = check_settings(self.folder, self.config, self.seed)
-        stems = ("normaliser", *(("replay",) if self.config.algorithm == "sac" else ()))
-        saved = {stem: read_tensors(found, meta, stem) for stem in _TENSORS}
-        restore(
-            self.agent, self.envs, saved | {stem: read_arrays(found, meta, stem) for stem in stems}
-        )
+        stems = ["normaliser", *(["replay"] if self.config.algorithm == "sac" else [])]
+        saved = {stem: read_tensors(path, meta, stem) for stem in _TENSORS}
+        saved |= {stem: read_arrays(path, meta, stem) for stem in stems}
         agent = self.agent
+        restore(agent, self.envs, saved)
         agent.num_timesteps = meta["steps"]
         agent._n_updates = meta["updates"]
         agent._episode_num = meta["episodes"]
@@ -121,8 +120,8 @@ class Training:
 
 def check_settings(folder: Path, config: RLConfig, seed: int) -> dict[str, Any]:
     """Return the newest checkpoint's metadata, or raise what `Training.resume` would."""
-    found = find_checkpoint(folder)
-    meta = read_meta(found)
+    path = find_checkpoint(folder)
+    meta = read_meta(path)
     now = {**asdict(config), "env_settings": config.env_settings}
     before = {**meta["config"], "env_settings": meta["env_settings"]}
     wrong = {
@@ -135,7 +134,7 @@ def check_settings(folder: Path, config: RLConfig, seed: int) -> dict[str, Any]:
             f"{name} {before.get(name)!r}, now {value!r}" for name, value in wrong.items()
         )
         raise InvalidInputError(
-            f"{found} was trained with other settings ({changes or 'another seed'}): give the same, or another --out"
+            f"{path} was trained with other settings ({changes or 'another seed'}): give the same, or another --out"
         )
     return meta
 

@@ -118,20 +118,17 @@ class RLConfig:
         from grasp_env.config import EnvConfig  # needs the extra sim
 
         try:
-            given = json.loads(self.env)
+            settings = json.loads(self.env)
         except ValueError as error:
             raise InvalidInputError(
                 f'env is not JSON ({error}); give settings as {{"shape": "sphere"}}'
             ) from None
-        if "action_mode" in instance(given, dict, "env"):
+        if "action_mode" in instance(settings, dict, "env"):
             raise InvalidInputError(
-                f"env has action_mode {given['action_mode']!r}: leave it out, action={self.action!r} sets it"
+                f"env has action_mode {settings['action_mode']!r}: leave it out, action={self.action!r} sets it"
             )
-        return (
-            EnvConfig()
-            .override(**{"disturbance": "random", **given, "action_mode": self.action})
-            .to_dict()
-        )
+        settings = {"disturbance": "random", **settings, "action_mode": self.action}
+        return EnvConfig().override(**settings).to_dict()
 
     @property
     def sizes(self) -> dict[str, int]:
@@ -141,11 +138,9 @@ class RLConfig:
 
         hand = as_config(self.env_settings).hand_description
         fingers, joints = hand.finger_count, hand.joint_count
-        shown = len(bounds(fingers, joints))
-        given = action_size(self.action, fingers)
         return {
             "fingers": fingers,
             "joints": joints,
-            "observation_size": shown,
-            "action_size": given,
+            "observation_size": len(bounds(fingers, joints)),
+            "action_size": action_size(self.action, fingers),
         }

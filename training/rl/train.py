@@ -54,47 +54,40 @@ def rows_of(shard: Shard, bar: Progress | None = None) -> pd.DataFrame:
 
     Returns:
         Rows of the held-out episodes (case "held_out"), of those along the learning curve ("curve";
-        for the zero policy the same
-        episodes), and one row with the cost of the training ("training").
+        for the zero policy the same episodes), and one row with the cost of training ("training").
     """
     config = shard.config
     name = shard.name
     folder = shard.folder
-    who = {"environment": config.env, "agent": name}
+    keys = {"environment": config.env, "agent": name}
     extra = list[dict[str, Any]]()
     if folder is not None:
         if shard.seed is not None:
-            train_seed(
-                config,
-                folder,
-                shard.seed,
-                bool(checkpoints(folder / FOLDER)),
-                bar,
-                folder.parent / STOP,
-            )
+            resume = bool(checkpoints(folder / FOLDER))
+            train_seed(config, folder, shard.seed, resume, bar, folder.parent / STOP)
         policy = TrainedAgent.load(folder)
         rule = None
         meta = policy.meta
         settings = meta["env_settings"]
-        who = who | {"training_seed": meta["seed"]}
-        took = {
+        keys["training_seed"] = meta["seed"]
+        cost = {
             "training_steps": meta["steps"],
             "seconds": meta["seconds"],
             "cpu_seconds": meta["cpu_seconds"],
         }
-        extra = [{"case": "curve", **row} for row in meta["curve"]] + [{"case": "training", **took}]
+        extra = [{"case": "curve", **row} for row in meta["curve"]] + [{"case": "training", **cost}]
     else:
         config = replace(config, action="initial_force")
         policy = ZeroPolicy(config.sizes["action_size"])
         settings = config.env_settings
-        rule = {"learned": LearnedInitialForce.pretrained, "previous": lambda: "previous"}.get(
-            name, lambda: None
-        )()
+        rule = "previous" if name == "previous" else None
+        if name == "learned":
+            rule = LearnedInitialForce.pretrained()
         if name == "zero":
-            along = score(policy, settings, range(CURVE_SEED, CURVE_SEED + config.curve_episodes))
-            extra = [{"case": "curve", **row} for row in along if "return" in row]
-    found = score(policy, settings, range(HELD_OUT_SEED, HELD_OUT_SEED + config.episodes), rule)
-    return table({**who, **row} for row in [{"case": "held_out", **row} for row in found] + extra)
+            curve = score(policy, settings, range(CURVE_SEED, CURVE_SEED + config.curve_episodes))
+            extra = [{"case": "curve", **row} for row in curve if "return" in row]
+    scores = score(policy, settings, range(HELD_OUT_SEED, HELD_OUT_SEED + config.episodes), rule)
+    return table({**keys, **row} for row in [{"case": "held_out", **row} for row in scores] + extra)
 
 
 def train(config: RLConfig, out: Path, resume: bool = False, on: str = "") -> Run:
@@ -172,17 +165,16 @@ def compare(folders: Sequence[Path], out: Path, config: RLConfig, on: str = "") 
     for seed, meta in metas.items():  # the zero policy plays the episodes of the agents' curves
         names = ("algorithm", "action", "env", "envs", "rollout", "curve_episodes")
         kept = {name: meta["config"][name] for name in names}
-        mine = replace(config, **kept, learning_rate=0.0, gamma=-1.0, deviation=0.0).resolved()
-        shards[str(seed)] = Shard(f"{meta['algorithm']}/{meta['action']}", mine, seed.absolute())
+        same = replace(config, **kept, learning_rate=0.0, gamma=-1.0, deviation=0.0).resolved()
+        shards[str(seed)] = Shard(f"{meta['algorithm']}/{meta['action']}", same, seed.absolute())
     run = Run.create(out.parent, out.name)
     kinds = {(shard.config.env, shard.name): shard.config for shard in shards.values()}
-    rates = (
+    rates = [
         {"environment": env, "agent": name, **row}
-        for (env, name), kind in kinds.items()
+        for (env, name), kind in ({} if config.quick else kinds).items()
         for row in speeds(kind)
-    )
-    times = [] if config.quick else list(rates)
-    return _finish(run, shards, config, on or "processes", times)
+    ]
+    return _finish(run, shards, config, on or "processes", rates)
 
 
 def _finish(
@@ -193,22 +185,23 @@ def _finish(
     more: Sequence[dict[str, Any]] = (),
 ) -> Run:
     """Train and score agents, score the baselines in the same environments, and save the run."""
-    worlds = {shard.config.env: shard.config for shard in shards.values()}
+    configs = {shard.config.env: shard.config for shard in shards.values()}
     baselines = {
-        f"{name} {env}": Shard(name, world) for env, world in worlds.items() for name in BASELINES
+        f"{name} {env}": Shard(name, config)
+        for env, config in configs.items()
+        for name in BASELINES
     }
-    every = shards | baselines
+    jobs = shards | baselines
     stop = run.path(STOP)
     stop.unlink(missing_ok=True)
     if on == "inline":
         with progress() as bar:  # also shows steps
-            rows = join(
-                [rows_of(shard, bar) for shard in bar.track(every.values(), description="agents")]
-            )
+            tracked = bar.track(jobs.values(), description="agents")
+            rows = join([rows_of(job, bar) for job in tracked])
     else:
         try:
             with interruptible(orderly=False):
-                rows, _ = map_shards(rows_of, every, on=on, label="agents")
+                rows, _ = map_shards(rows_of, jobs, on=on, label="agents")
         except KeyboardInterrupt:
             stop.touch()
             raise
@@ -255,17 +248,12 @@ def train_seed(
         agent.set_logger(logger)
         try:
             with interruptible() as interrupted:
-                watch = _Watch(
-                    training, lambda: interrupted() or (stop is not None and stop.exists()), bar
-                )
+                stopped = stop.exists if stop else lambda: False
+                watch = _Watch(training, lambda: interrupted() or stopped(), bar)
                 # PPO counts updates, SAC episodes
-                every = 1 if config.algorithm == "ppo" else config.envs
-                agent.learn(
-                    config.steps - agent.num_timesteps,
-                    watch,
-                    log_interval=every,
-                    reset_num_timesteps=False,
-                )
+                interval = 1 if config.algorithm == "ppo" else config.envs
+                options = {"log_interval": interval, "reset_num_timesteps": False}
+                agent.learn(config.steps - agent.num_timesteps, watch, **options)
                 return watch.finish()
         finally:
             logger.close()
@@ -316,9 +304,8 @@ class _Watch(BaseCallback):
         for info in self.locals["infos"]:
             self.logger.record_mean("rollout/iterations", float(info["iterations"]))
         if self._bar is not None and self._task is not None:
-            self._bar.update(
-                self._task, completed=min(self.num_timesteps, self._training.config.steps)
-            )
+            done = min(self.num_timesteps, self._training.config.steps)
+            self._bar.update(self._task, completed=done)
         return True
 
     def _score(self) -> None:
@@ -329,18 +316,15 @@ class _Watch(BaseCallback):
         seeds = range(CURVE_SEED, CURVE_SEED + training.config.curve_episodes)
         rows = score(training, training.config.env_settings, seeds)
         ends = [row for row in rows if "return" in row]
-        point = {
-            "return": np.mean([row["return"] for row in ends]),
-            "held": np.mean([row["held"] for row in ends]),
-        }
+        point = {name: np.mean([row[name] for row in ends]) for name in ("return", "held")}
         point |= {"length": len(rows) / len(ends)}
         if iterations := [row["iterations"] for row in rows if "iterations" in row]:
             point |= {"iterations": np.mean(iterations), "median_iterations": np.median(iterations)}
         for name, value in point.items():
             self.logger.record(f"score/{name}", float(value))
         self.logger.dump(steps)  # now, not at the end of the next rollout
-        at = {"training_steps": steps, "seconds": round(float(training.spent[0]), 2)}
-        training.curve += [{**row, **at} for row in ends]
+        now = {"training_steps": steps, "seconds": round(float(training.spent[0]), 2)}
+        training.curve += [{**row, **now} for row in ends]
         self._mark = _clock()  # the time of scores does not count
 
     def _save(self) -> Path:
