@@ -42,22 +42,19 @@ class Recipe:
 
     def points(self, rng: np.random.Generator, count: int) -> tuple[Array, Array]:
         """Draw positions (count, 3) [m] and inward unit normals (count, 3) on one random solid."""
-        place = int(rng.integers(len(self.shapes))) if len(self.shapes) > 1 else 0
-        return SOLIDS[self.shapes[place]](rng, count)
+        index = int(rng.integers(len(self.shapes))) if len(self.shapes) > 1 else 0
+        return SOLIDS[self.shapes[index]](rng, count)
 
     def draw(self, rng: np.random.Generator, count: int) -> Grasp:
         """Draw one grasp, with or without force closure."""
-        places, inward = self.points(rng, count)
-        return Grasp.from_contacts(
-            places, inward, rng.uniform(*self.friction, count if self.own_friction else None)
-        )
+        positions, normals = self.points(rng, count)
+        friction = rng.uniform(*self.friction, count if self.own_friction else None)
+        return Grasp.from_contacts(positions, normals, friction)
 
     def closes(self, grasp: Grasp) -> bool:
         """Return True if a grasp has force closure with the recipe's margin."""
-        if (
-            grasp.rank < 6
-            or feasibility(grasp, np.zeros(6)).margin <= self.margin / grasp.n_contacts
-        ):
+        least = self.margin / grasp.n_contacts
+        if grasp.rank < 6 or feasibility(grasp, np.zeros(6)).margin <= least:
             return False
         if self.basis:
             try:
@@ -82,11 +79,11 @@ def _cuboid(rng: np.random.Generator, count: int) -> tuple[Array, Array]:
     half = rng.uniform(*HALF, 3)
     axis = rng.integers(0, 3, count)
     side = rng.choice([-1.0, 1.0], count)
-    places = rng.uniform(-1.0, 1.0, (count, 3)) * half
-    inward = np.zeros((count, 3))
-    places[np.arange(count), axis] = side * half[axis]
-    inward[np.arange(count), axis] = -side
-    return places, inward
+    positions = rng.uniform(-1.0, 1.0, (count, 3)) * half
+    normals = np.zeros((count, 3))
+    positions[np.arange(count), axis] = side * half[axis]
+    normals[np.arange(count), axis] = -side
+    return positions, normals
 
 
 def _ellipsoid(rng: np.random.Generator, count: int) -> tuple[Array, Array]:
@@ -107,8 +104,8 @@ def _cylinder(rng: np.random.Generator, count: int) -> tuple[Array, Array]:
     top = ends[:, None]
     flat = radius * (reach[:, None] * around) + side * half * up
     round_ = radius * around + height[:, None] * up
-    places = np.where(top, flat, round_)
-    return places, -np.where(top, side * up, around)
+    positions = np.where(top, flat, round_)
+    return positions, -np.where(top, side * up, around)
 
 
 SOLIDS = {"cuboid": _cuboid, "ellipsoid": _ellipsoid, "cylinder": _cylinder}

@@ -18,7 +18,7 @@ LABEL_GAP, LABEL_ITERATIONS = 1e-10, 200
 BALL = 0.7
 """Share of the wrenches from the ball on which starts are compared."""
 LEAN = 0.3
-"""Slope of the density of frictions: 1 - LEAN at the least, 1 + LEAN at the largest."""
+"""The density of frictions is 1 -+ LEAN at the ends: more where the flow takes more steps."""
 CHUNK = 4096
 """Samples whose metric is computed at once."""
 
@@ -42,8 +42,8 @@ class Source:
 
     def ball(self, rng: np.random.Generator, count: int) -> Array:
         """Draw wrenches (count, 6) of the ball."""
-        drawn = sample_ball(rng, count)
-        return drawn if self.paper else self._from_unit(drawn)
+        wrenches = sample_ball(rng, count)
+        return wrenches if self.paper else self._from_unit(wrenches)
 
     def draw(
         self, rng: np.random.Generator, count: int, groups: int, ball: float = BALL
@@ -57,22 +57,19 @@ class Source:
             ball: share of the wrenches that are drawn from the ball.
         """
         per = max(1, count // groups)
-        (low, high) = self.frictions
-        part = (np.arange(groups) + rng.random(groups)) / groups
-        friction = low + (high - low) * (
-            np.sqrt((1.0 - LEAN) ** 2 + 4.0 * LEAN * part) - (1.0 - LEAN)
-        ) / (2.0 * LEAN)
+        low, high = self.frictions
+        share = (np.arange(groups) + rng.random(groups)) / groups
+        root = np.sqrt((1.0 - LEAN) ** 2 + 4.0 * LEAN * share)
+        friction = low + (high - low) * (root - (1.0 - LEAN)) / (2.0 * LEAN)
         wrenches = self._from_unit(sample_magnitudes(rng, groups * per, *self.magnitudes))
         inside = self.ball(rng, groups * per)
-        return np.where(
-            rng.random(groups * per)[:, None] < ball, inside, wrenches
-        ), friction.repeat(per)
+        wrenches = np.where(rng.random(groups * per)[:, None] < ball, inside, wrenches)
+        return wrenches, friction.repeat(per)
 
-    def _from_unit(self, drawn: Array) -> Array:
+    def _from_unit(self, wrenches: Array) -> Array:
         """Transform wrenches (B, 6) of the unit frame, moments over 0.05 m, to the object frame."""
-        return (drawn / np.repeat([1.0, MAGNITUDE_LENGTH], 3)) @ np.linalg.inv(
-            self.grasp.unit_frame
-        ).T
+        scaled = wrenches / np.repeat([1.0, MAGNITUDE_LENGTH], 3)
+        return scaled @ np.linalg.inv(self.grasp.unit_frame).T
 
 
 def with_mean_friction(grasp: Grasp, friction: float) -> Grasp:
@@ -113,7 +110,7 @@ def label(
 ) -> Dataset:
     """Label wrenches (B, 6) [N, N m] by Newton's method to a relative gap of 1e-10.
 
-    The mean frictions are (B,). For `reference` see `null_space_basis`; `workers` are threads, since the core releases the GIL.
+    The mean frictions are (B,). For `reference` see `null_space_basis`; `workers` are threads.
 
     Raises:
         NotConvergedError: a label has a relative gap above 1e-6.
@@ -132,17 +129,16 @@ def label(
     metric = np.empty((count, dimension, dimension), np.float32)
     force = solutions.force.reshape(count, -1)
     least = solutions.objective
+    bound = solutions.lower_bound
     with np.errstate(divide="ignore", invalid="ignore"):
-        worst = np.where(
-            solutions.lower_bound > 0.0, least / solutions.lower_bound - 1.0, np.inf
-        ).max(initial=0.0)
+        worst = np.where(bound > 0.0, least / bound - 1.0, np.inf).max(initial=0.0)
     if not worst <= 1e-6:
         raise NotConvergedError(f"a training label has a relative gap of {worst:.2g}")
 
     def work(begin: int) -> None:
-        few = slice(begin, begin + CHUNK)
-        scales = np.array([grasps[mu].models.cone_scale for mu in friction[few].tolist()])
-        metric[few] = _metric(force[few], scales, null_space, objective, least[few])
+        chunk = slice(begin, begin + CHUNK)
+        scales = np.array([grasps[mu].models.cone_scale for mu in friction[chunk].tolist()])
+        metric[chunk] = _metric(force[chunk], scales, null_space, objective, least[chunk])
 
     with ThreadPoolExecutor(workers) as pool:
         list(pool.map(work, range(0, count, CHUNK)))
@@ -158,13 +154,12 @@ def _metric(
 
     `scales` (B, N, 3) are those of cone coordinates, `null_space` is (3N, K), `least` (B,) min Phi.
     """
-    many = len(force)
-    count = scales.shape[1]
-    x = force * scales.reshape(many, -1)
+    samples, contacts = scales.shape[:2]
+    x = force * scales.reshape(samples, -1)
     # all contacts at once: the Hessian is linear in lambda
-    blocks = Objective(1.0, 1.0).hessian(x.reshape(-1)).reshape(many, count, 3, 3)
-    blocks *= objective.weights(count)[:, 1, None, None]
-    scaled = (scales.reshape(many, -1, 1) * null_space).reshape(many, count, 3, -1)
+    blocks = Objective(1.0, 1.0).hessian(x.reshape(-1)).reshape(samples, contacts, 3, 3)
+    blocks *= objective.weights(contacts)[:, 1, None, None]
+    scaled = (scales.reshape(samples, -1, 1) * null_space).reshape(samples, contacts, 3, -1)
     reduced = np.einsum("bcra,bcrs,bcsk->bak", scaled, blocks, scaled, optimize=True)
     lower = np.linalg.cholesky(reduced * (0.5 / least)[:, None, None])
     return lower.transpose(0, 2, 1)

@@ -178,12 +178,13 @@ def _reporting(
     seconds = task.config.seconds
     total = round(seconds) or task.config.steps
     with progress(console) as bar:
-        shown = bar.add_task(f"{words}, {'seconds' if seconds else 'steps'}", total=total)
+        bar_task = bar.add_task(f"{words}, {'seconds' if seconds else 'steps'}", total=total)
 
         def report(now: FitProgress, row: list[float]) -> None:
             ball, whole = (" ".join(f"{value:.0e}" for value in row[k : k + 3]) for k in (0, 3))
             note = f"gaps, median p95 p99: ball {ball}, all {whole}"
-            bar.update(shown, completed=round(total * min(1.0, task.done(now))), note=note)
+            done = round(total * min(1.0, task.done(now)))
+            bar.update(bar_task, completed=done, note=note)
             if words and not console.is_terminal:
                 sys.stderr.write(f"{words}: step {now.step}, {now.seconds:.0f} s: {note}\n")
 

@@ -46,9 +46,10 @@ def scores(
             raw = model.raw(here, wrench)
             start = alone(here, wrench)
             gap = model.objective.value(here.to_cone(start)) / exact.solve(wrench).objective - 1.0
-            left = reduced.solve(wrench, initial=start).iterations if flow else 0
-            taken = newton.solve(wrench, initial=start).iterations
-            rows.append((max(0.0, gap), here.cone_margin(raw) <= 0.0, taken, left))
+            flow_steps = reduced.solve(wrench, initial=start).iterations if flow else 0
+            newton_steps = newton.solve(wrench, initial=start).iterations
+            outside = here.cone_margin(raw) <= 0.0
+            rows.append((max(0.0, gap), outside, newton_steps, flow_steps))
     gaps, outside, steps, iterations = np.array(rows).T
     names = [*map(str, range(MOST)), f"{MOST} or more"]
     shares = {name: float((np.minimum(steps, MOST) == k).mean()) for k, name in enumerate(names)}

@@ -26,12 +26,11 @@ def score(
 
     Returns:
         A row for each step with "seed", "step", "reward" and, if a solver runs, "iterations". The
-        last row of an episode also has the
-        columns of `outcome`.
+        last row of an episode also has the columns of `outcome`.
     """
-    config = as_config(settings).override(
-        **({} if initial_force is None else {"initial_force": initial_force})
-    )
+    config = as_config(settings)
+    if initial_force is not None:
+        config = config.override(initial_force=initial_force)
     solver = config.agent.action_mode != "contact_force"
     env = gym.make(f"grasp_env:{ENV_ID}", config=config)
     rows: list[dict[str, Any]] = []
@@ -51,17 +50,17 @@ def score(
 def outcome(steps: list[EpisodeStep], solver: bool = True) -> dict[str, Any]:
     """Return return, hold and means of an episode; held: to the end, within the task's limits."""
     infos = [step.info for step in steps]
+    count = len(infos)
     held = bool(infos[-1]["is_success"])
+    force = sum(float(info["commanded_force"][:, 0].sum()) for info in infos)
+    iterations = sum(int(info["iterations"]) for info in infos) / count if solver else None
     return {
         "held": held,
         "failure": infos[-1]["fault"] or None,
         "return": sum(step.reward for step in steps),
-        "mean_iterations": sum(int(info["iterations"]) for info in infos) / len(infos)
-        if solver
-        else None,
-        "commanded_force": sum(float(info["commanded_force"][:, 0].sum()) for info in infos)
-        / len(infos),
-        "torque_share": sum(float(info["torque_share"]) for info in infos) / len(infos),
+        "mean_iterations": iterations,
+        "commanded_force": force / count,
+        "torque_share": sum(float(info["torque_share"]) for info in infos) / count,
         "drift": 1e3 * max(float(info["drift"]) for info in infos) if held else None,
         "end_drift": 1e3 * float(infos[-1]["drift"]),
     }

@@ -180,8 +180,8 @@ CONTROLLER_LABELS = {
 def controllers_plan(episodes: int, quick: bool = False) -> list[Scenario]:
     """Plan the four-finger hand's scenarios with all controllers.
 
-    The main scenarios have `episodes`. Those with errors have at most 100 episodes (60 for the varied settings of the baselines).
-    The six directions have an eighth of `episodes` for controllers other than the paper's.
+    The main scenarios have `episodes`; those with errors at most 100 (60 for varied settings of
+    baselines); the six directions an eighth for controllers other than the paper's.
     """
     robust, long = (episodes, episodes) if quick else (min(episodes, 100), max(1, episodes // 8))
 

@@ -131,7 +131,7 @@ class StartContext:
     def _after(
         self, grasp: Grasp, load: Wrench, before: ContactForces, initial: str | InitialForceRule
     ) -> ContactForces:
-        """Return the start of an optimizer that has solved before; the paper's if it has no other."""
+        """Return the start of an optimizer that has solved before, or the paper's."""
         optimizer = ForceOptimizer(
             grasp, method="reduced_flow", initial=initial, **vars(self.objective)
         )
@@ -139,7 +139,7 @@ class StartContext:
         return optimizer.start(load)
 
     def nearest(self, correction: Correction) -> ComparedStart:
-        """Make the corrected stored solution of the nearest wrench, on the fixed grasp and near it."""
+        """Make the corrected stored solution of the nearest wrench, near the fixed grasp."""
 
         def rule(grasp: Grasp, load: Wrench) -> ContactForces:
             require_near_fixed(grasp)

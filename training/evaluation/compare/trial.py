@@ -149,7 +149,7 @@ def trials(
     Args:
         name: name of the set.
         cases: cases to solve.
-        starts: see `StartContext.all_starts`; a start that does not apply to a case has no row there.
+        starts: see `StartContext.all_starts`; a start has no row of a case it does not apply to.
         objective: Phi.
         solved: True if the methods run; otherwise there is one row for each case and start.
     """

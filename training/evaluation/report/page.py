@@ -1,4 +1,4 @@
-"""Pages from tables: report.html of any run folder, and the layout of the comparison of two runs."""
+"""Pages from tables: report.html of any run folder, and the layout of other pages."""
 
 from __future__ import annotations
 

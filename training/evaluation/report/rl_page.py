@@ -127,7 +127,7 @@ def scores_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
 
 
 def training_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
-    """Make a table of the steps and the time of every training, and of its first and last scores."""
+    """Make a table of every training: steps, time, first and last scores."""
     out = []
     for environment in _environments(rows):
         curves = _by_agent(rows, "curve", environment)

@@ -75,15 +75,14 @@ def run(quick: bool = False) -> pd.DataFrame:
 
     Returns:
         The rows. Cases: "weights", "times", "rates", "gaps", "forms", "costs_product",
-        "costs_iteration", "path_<grasp>",
-        "table_one" and "table_one_paper".
+        "costs_iteration", "path_<grasp>", "table_one" and "table_one_paper".
     """
     grasp = presets.paper_cuboid()
     five = presets.preset("five_finger_cuboid")
     wrenches = wrench.sample_ball(np.random.default_rng([0, 101]), 20 if quick else 200)
     load = np.array(wrench.PAPER_CONSTANT)
     fine = 0.005 if quick else 0.001
-    parts = {
+    studies = {
         **{
             f"omega {omega:g}, lambda {barrier:g}": weights(grasp, wrenches, omega, barrier)
             for omega, barrier in WEIGHTS
@@ -97,16 +96,16 @@ def run(quick: bool = False) -> pd.DataFrame:
     }
     rows: list[dict[str, Any]] = []
     with progress() as bar:
-        task = bar.add_task("reproduce", total=len(parts))
-        for name, part in parts.items():
+        task = bar.add_task("reproduce", total=len(studies))
+        for name, study in studies.items():
             bar.update(task, description=name)
-            rows += part
+            rows += study
             bar.advance(task)
     return table(rows)
 
 
 def step_rules(fixed: float) -> dict[str, StepRule]:
-    """Every step rule by its key; `fixed` is the constant step."""
+    """Return every step rule by its key; `fixed` is the constant step."""
     return {
         "fixed": FixedStep(fixed),
         "armijo": ArmijoStep(),
@@ -152,10 +151,8 @@ class Cases:
         self.omega = omega
         self.form = form
         self.objective = Objective(omega, barrier)
-        self.contacts, basis = (
-            core_contacts(grasp, self.objective),
-            OfflineBasis.of(grasp, self.objective),
-        )
+        self.contacts = core_contacts(grasp, self.objective)
+        basis = OfflineBasis.of(grasp, self.objective)
         self.starts = np.array([basis.combine(load) for load in wrenches])
         newton = ForceOptimizer(grasp, method="newton", tolerance=1e-11, **vars(self.objective))
         solutions = [newton.solve(load) for load in wrenches]
@@ -193,13 +190,8 @@ class Cases:
         self, rule: StepRule, initial: str | InitialForceRule, repeats: int = 5
     ) -> tuple[Array, Array]:
         """Return the shortest times (n,) [us] of certified compiled calls, and iterations (n,)."""
-        options = {
-            "method": "reduced_flow",
-            "step_rule": rule,
-            "initial": initial,
-            **vars(self.objective),
-        }
-        flow = ForceOptimizer(self.grasp, **options)
+        options = {"step_rule": rule, "initial": initial, **vars(self.objective)}
+        flow = ForceOptimizer(self.grasp, method="reduced_flow", **options)
         best = np.empty(len(self.wrenches))
         rows = np.empty((len(self.wrenches), flow.core.size))
         flow.core.times(self.wrenches, repeats, rows, best)
@@ -208,11 +200,9 @@ class Cases:
     def tuned_step(self, count: int = 20) -> float:
         """Return the longest constant step that is never halved on the first `count` wrenches."""
         for size in FIXED_SIZES:
-            records = self.descents(FixedStep(size / self.omega), count)
-            if all(
-                record[CODE] == CONVERGED and record[ITERATIONS] == record[TRIALS]
-                for record in records
-            ):
+            records = np.array(self.descents(FixedStep(size / self.omega), count))
+            never_halved = records[:, ITERATIONS] == records[:, TRIALS]
+            if (never_halved & (records[:, CODE] == CONVERGED)).all():
                 return size / self.omega
         return FIXED_SIZES[-1] / self.omega
 
@@ -233,8 +223,9 @@ def weights(grasp: Grasp, wrenches: Array, omega: float, barrier: float) -> Rows
                 "force_weight": omega,
                 "barrier_weight": barrier,
                 "problem": k,
+                "status": statuses.get(int(record[CODE]), "stalled"),
+                "force_excess": excess[k],
             }
-            row |= {"status": statuses.get(int(record[CODE]), "stalled"), "force_excess": excess[k]}
             if record[CODE] == CONVERGED:
                 row |= {"iterations": int(record[ITERATIONS]), "trials": int(record[TRIALS])}
             yield row | ({"step_size": fixed} if name == "fixed" else {})
@@ -243,10 +234,8 @@ def weights(grasp: Grasp, wrenches: Array, omega: float, barrier: float) -> Rows
 def times(grasp: Grasp, wrenches: Array) -> Rows:
     """Yield time and iterations of compiled calls to a certified gap of 1e-4, lambda 0.01."""
     cases = Cases(grasp, wrenches)
-    starts = {
-        "linear_combination": "linear_combination",
-        "learned_fixed": LearnedInitialForce.pretrained(),
-    }
+    paper = "linear_combination"
+    starts = {paper: paper, "learned_fixed": LearnedInitialForce.pretrained()}
     for name, rule in step_rules(cases.tuned_step()).items():
         for start, initial in starts.items():
             for k, (value, steps) in enumerate(zip(*cases.certified(rule, initial), strict=True)):
@@ -325,12 +314,8 @@ def costs(grasps: tuple[Grasp, ...], repeats: int) -> Rows:
         cases = {form: Cases(grasp, load[None], form=form) for form in FORMS}
         for k in range(repeats):
             for form in FORMS:
-                row = {
-                    "form": form,
-                    "contacts": count,
-                    "problem": k,
-                    "operations": operations(form, count),
-                }
+                row = {"form": form, "contacts": count, "problem": k}
+                row["operations"] = operations(form, count)
                 yield {"case": "costs_product", **row, "nanoseconds": _product(cases[form])}
                 yield {"case": "costs_iteration", **row, "nanoseconds": _iteration(cases[form])}
 
@@ -338,11 +323,12 @@ def costs(grasps: tuple[Grasp, ...], repeats: int) -> Rows:
 def _product(cases: Cases) -> float:
     """Return the nanoseconds of one product step."""
     x = cases.grasp.to_cone(cases.starts[0])
+
+    def step(count: int) -> None:
+        core.repeat_step(cases.contacts, cases.form, x, count)
+
     # a measurement takes a fifth of a millisecond, so it is rarely interrupted
-    return _time_repetition(
-        lambda count: core.repeat_step(cases.contacts, cases.form, x, count),
-        100 if cases.form == "full" else 5000,
-    )
+    return _time_repetition(step, 100 if cases.form == "full" else 5000)
 
 
 def _iteration(cases: Cases) -> float:
@@ -385,18 +371,19 @@ def path(name: str, grasp: Grasp, fine: float) -> Rows:
     least = forces["conic"][:, :, 0].sum(axis=1)
     for key, values in forces.items():
         excess = values[:, :, 0].sum(axis=1) / least - 1.0
-        for interval, part in ((10.0 * fine, values[::10]), (fine, values)):
+        for interval, samples in ((10.0 * fine, values[::10]), (fine, values)):
             jumps, kinks = (
-                np.linalg.norm(np.diff(part, order, axis=0), axis=2) for order in (1, 2)
+                np.linalg.norm(np.diff(samples, order, axis=0), axis=2) for order in (1, 2)
             )
-            for k, contact in np.ndindex(part.shape[:2]):
+            for k, contact in np.ndindex(samples.shape[:2]):
                 row = {
                     "case": f"path_{name}",
                     "method": key,
                     "interval": interval,
                     "time": interval * k,
+                    "contact": contact,
+                    "contact_force": samples[k, contact, 0],
                 }
-                row |= {"contact": contact, "contact_force": part[k, contact, 0]}
                 if interval == fine and contact == 0:  # once for all fingers
                     row["force_excess"] = excess[k]
                 if k > 0:
@@ -414,9 +401,8 @@ def table_one(grasp: Grasp, load: Array) -> Rows:
     compared.
     """
     phi = Objective(1.0, LAMBDA)
-    optimum = ForceOptimizer(grasp, method="newton", barrier_weight=LAMBDA, tolerance=1e-10).solve(
-        load
-    )
+    newton = ForceOptimizer(grasp, method="newton", barrier_weight=LAMBDA, tolerance=1e-10)
+    optimum = newton.solve(load)
     flow = ForceOptimizer(grasp, method="reduced_flow", barrier_weight=LAMBDA, tolerance=TOLERANCE)
     for start, (normals, steps) in PAPER_TABLE.items():
         force, iterations = optimum.force, None
@@ -428,11 +414,7 @@ def table_one(grasp: Grasp, load: Array) -> Rows:
             ("table_one_paper", normals, steps),
         ):
             for contact, value in enumerate(values):
-                first = {"iterations": count, "force_sum": sum(values)} if contact == 0 else {}
-                yield {
-                    "case": case,
-                    "start": start,
-                    "contact": contact,
-                    "contact_force": value,
-                    **first,
-                }
+                row = {"case": case, "start": start, "contact": contact, "contact_force": value}
+                if contact == 0:
+                    row |= {"iterations": count, "force_sum": sum(values)}
+                yield row

@@ -68,16 +68,16 @@ class Claim:
     def values(self, rows: pd.DataFrame) -> np.ndarray:
         """Return the measured number of every selected row; nan if one of its cases has none."""
         mine = chosen(rows, self.query)
-        other = chosen(rows, self.over) if self.over else None
         if self.column not in rows.columns:
             return np.empty(0)
-        lacking = f"{self.column.rpartition('_')[0]}_missing"
+        missing = f"{self.column.rpartition('_')[0]}_missing"
         # percentiles ignore the cases without a number
-        if lacking in rows.columns and lacking != self.column:
-            known = np.where(numbers(mine, lacking) > 0, np.nan, numbers(mine, self.column))
+        if missing in rows.columns and missing != self.column:
+            known = np.where(numbers(mine, missing) > 0, np.nan, numbers(mine, self.column))
             mine = mine.assign(**{self.column: known})
-        if other is None:
+        if not self.over:
             return numbers(mine, self.column)
+        other = chosen(rows, self.over)
         # pair the rows by the keys that still have several values after both queries
         keys = [
             name
@@ -87,9 +87,8 @@ class Claim:
         if not keys:
             mine = mine.iloc[:1]
             other = other.iloc[:1]
-        paired: Any = mine.merge(
-            other, "left" if keys else "cross", keys or None, suffixes=("", "_over")
-        )
+        how = "left" if keys else "cross"
+        paired: Any = mine.merge(other, how, keys or None, suffixes=("", "_over"))
         if other.empty or paired.empty:
             return np.empty(0)
         value = numbers(paired, self.column)

@@ -26,14 +26,14 @@ def interruptible(*, orderly: bool = True) -> Iterator[Callable[[], bool]]:
         if not orderly or len(signals) > 1:
             raise KeyboardInterrupt
 
-    kept = {}
+    previous = {}
     try:
         for number in (signal.SIGINT, signal.SIGTERM):
-            kept[number] = signal.signal(number, note)
+            previous[number] = signal.signal(number, note)
     except ValueError:  # not the main thread, which signals do not interrupt
         pass
     try:
         yield lambda: bool(signals)
     finally:
-        for number, handler in kept.items():
+        for number, handler in previous.items():
             signal.signal(number, handler)

@@ -28,7 +28,7 @@ SHARDS = "shards"
 """Folder of a run that keeps finished shards until all are."""
 MAX_COUNT = 1_000_000_000
 """Largest count in a setting."""
-_PACKAGES = (
+_PACKAGES = [
     "numpy",
     "scipy",
     "pandas",
@@ -46,7 +46,7 @@ _PACKAGES = (
     "highspy",
     "piqp",
     "cvxpy",
-)
+]
 
 
 class Run:
@@ -73,9 +73,8 @@ class Run:
             probe.write_bytes(b"")
             probe.unlink()
         except OSError as error:
-            raise InvalidInputError(
-                f"cannot write to {folder}: {file_fault(error, '--out')}"
-            ) from None
+            fault = file_fault(error, "--out")
+            raise InvalidInputError(f"cannot write to {folder}: {fault}") from None
         return cls(folder)
 
     @classmethod
@@ -107,9 +106,8 @@ class Run:
 
     def write_json(self, name: str, value: Any) -> Path:
         """Write JSON; raise ValueError for NaN and infinity."""
-        return self.write_text(
-            name, json.dumps(value, indent=2, allow_nan=False, default=_plain) + "\n"
-        )
+        text = json.dumps(value, indent=2, allow_nan=False, default=_plain)
+        return self.write_text(name, f"{text}\n")
 
     def read_json(self, name: str) -> Any:
         """Read JSON; raise `InvalidInputError` if the file is not JSON."""
@@ -124,13 +122,8 @@ class Run:
         from training.evaluation.results import table  # importing this module needs no pandas
 
         table.write(self.path("rows.csv"), rows)
-        about = {
-            **about,
-            **provenance(),
-            "rows": len(rows),
-            "columns": table.described(rows.columns),
-        }
-        self.write_json("run.json", about)
+        facts = {"rows": len(rows), "columns": table.described(rows.columns)}
+        self.write_json("run.json", {**about, **provenance(), **facts})
         shutil.rmtree(self.folder / SHARDS, ignore_errors=True)
 
     def load(self) -> tuple[pd.DataFrame, dict[str, Any]]:
@@ -253,13 +246,9 @@ def _version(name: str) -> str:
 
 def commit(folder: Path) -> str:
     """Return the commit of a checkout, with `-dirty` if files differ from it."""
+    command = ["git", "-C", str(folder), "describe", "--always", "--dirty"]
     try:
-        run = subprocess.run(
-            ["git", "-C", str(folder), "describe", "--always", "--dirty"],
-            capture_output=True,
-            text=True,
-            timeout=10,
-        )
+        run = subprocess.run(command, capture_output=True, text=True, timeout=10)
         return run.stdout.strip() or "unknown"
     except (OSError, subprocess.SubprocessError):
         return "unknown"

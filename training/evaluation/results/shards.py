@@ -52,9 +52,8 @@ def map_shards(
     """Call a function on every shard and join the rows in the order of the shards.
 
     Args:
-        function: takes a shard and returns its rows, which must depend on the shard alone.
-        shards: picklable shards by name, in the order in which they start; the longest should come
-            first.
+        function: takes a shard and returns its rows, which depend on the shard alone.
+        shards: picklable shards by name; they start in this order, so the longest come first.
         on: "inline" (this process), "processes" (spawned on this machine), "ray" (the cluster of
             RAY_ADDRESS, or the one that runs on this machine) or "ray://HOST:PORT" (the Ray client
             server of another machine).
@@ -65,10 +64,8 @@ def map_shards(
 
     Returns:
         The rows, and the description of the map for run.json: "on"; "workers", the number of shards
-        that ran in parallel;
-        "wall_seconds" from the first shard's start to the last one's end, without the start of Ray;
-        "cpu_seconds" of the shards that
-        ran, in which kept shards count as zero.
+        that ran in parallel; "wall_seconds", without the start of Ray; "cpu_seconds" of the shards
+        that ran, in which kept shards count as zero.
 
     Raises:
         InvalidInputError: `on` is invalid, or there is no such cluster.
@@ -79,22 +76,22 @@ def map_shards(
     files = {name: keep and keep / f"{name.replace('/', '-')}.csv" for name in shards}
     if keep:
         keep.mkdir(parents=True, exist_ok=True)
-    found = {name: table.read(file) for name, file in files.items() if file and file.is_file()}
-    left = {name: shard for name, shard in shards.items() if name not in found}
-    count = min(workers or os.cpu_count() or 1, max(1, len(left)))
+    done = {name: table.read(file) for name, file in files.items() if file and file.is_file()}
+    remaining = {name: shard for name, shard in shards.items() if name not in done}
+    count = min(workers or os.cpu_count() or 1, max(1, len(remaining)))
     cpu = 0.0
     with progress() as bar, _runner(on, count) as (run, count):
-        task = bar.add_task(label, total=len(shards), completed=len(found))
+        task = bar.add_task(label, total=len(shards), completed=len(done))
         begun = time.perf_counter()
-        for name, (rows, seconds) in run(function, left):
-            found[name] = rows
-            cpu = cpu + seconds
+        for name, (rows, seconds) in run(function, remaining):
+            done[name] = rows
+            cpu += seconds
             if file := files[name]:
                 table.write(file, rows)
             bar.update(task, advance=1, description=f"{label}: {name}")
         wall = time.perf_counter() - begun
     about = {"on": on, "workers": count, "wall_seconds": wall, "cpu_seconds": cpu}
-    return table.join(found[name] for name in shards), about
+    return table.join(done[name] for name in shards), about
 
 
 def _call(function: Work, shard: Any) -> Answer:
@@ -108,14 +105,7 @@ def _call(function: Work, shard: Any) -> Answer:
 def _runner(on: str, workers: int) -> Iterator[tuple[Runner, int]]:
     """Yield the runner of a place, and the number of shards that it runs in parallel."""
     if on == "inline":
-        yield (
-            (
-                lambda function, shards: (
-                    (name, _call(function, shard)) for name, shard in shards.items()
-                )
-            ),
-            1,
-        )
+        yield _inline, 1
     elif on == "processes":
         yield partial(_processes, workers=workers), workers
     else:
@@ -123,23 +113,27 @@ def _runner(on: str, workers: int) -> Iterator[tuple[Runner, int]]:
             yield runner
 
 
+def _inline(function: Work, shards: dict[str, Any]) -> Iterator[tuple[str, Answer]]:
+    for name, shard in shards.items():
+        yield name, _call(function, shard)
+
+
 def _processes(
     function: Work, shards: dict[str, Any], workers: int
 ) -> Iterator[tuple[str, Answer]]:
     """Run shards in spawned processes. If one is killed, its shards run again in new processes."""
-    left = dict(shards)
+    remaining = dict(shards)
     attempts = 0
-    while left:
-        pool = ProcessPoolExecutor(
-            workers, multiprocessing.get_context("spawn"), _ignore_interrupts
-        )
+    while remaining:
+        context = multiprocessing.get_context("spawn")
+        pool = ProcessPoolExecutor(workers, context, _ignore_interrupts)
         problem = None
         attempts += 1
         try:
             waiting: dict[Future[Answer], str] = {}
             # a worker may die while the others still get their work
             with _one_thread(), suppress(BrokenProcessPool, OSError):
-                for name, shard in left.items():
+                for name, shard in remaining.items():
                     waiting[pool.submit(_call, function, shard)] = name
             for future in as_completed(waiting):
                 if future.cancelled():
@@ -147,7 +141,7 @@ def _processes(
                 failed = future.exception()
                 if failed is None:
                     attempts = 0
-                    del left[waiting[future]]
+                    del remaining[waiting[future]]
                     yield waiting[future], future.result()
                 elif problem is None:  # shards that run may finish and are kept; no other starts
                     problem = failed
@@ -159,7 +153,7 @@ def _processes(
             raise problem
         if attempts == ATTEMPTS:
             raise SimulationError(
-                f"worker processes were killed {ATTEMPTS} times in a row while {', '.join(sorted(left))[:200]} ran, most likely for "
+                f"worker processes were killed {ATTEMPTS} times in a row while {', '.join(sorted(remaining))[:200]} ran, most likely for "
                 "lack of memory: use fewer workers; finished shards are kept"
             )
 
@@ -183,9 +177,7 @@ def _ray(on: str) -> Iterator[tuple[Runner, int]]:
 
         def run(function: Work, shards: dict[str, Any]) -> Iterator[tuple[str, Answer]]:
             task = ray.remote(num_cpus=1, max_retries=ATTEMPTS)(_call)
-            waiting: dict[Any, str] = {
-                task.remote(function, shard): name for name, shard in shards.items()
-            }
+            waiting = {task.remote(function, shard): name for name, shard in shards.items()}
             while waiting:
                 done, _ = ray.wait(list(waiting))
                 for reference in done:

@@ -1,4 +1,4 @@
-"""Intervals and robust means for reports, of finite values (n,) with n > 0 unless stated otherwise."""
+"""Intervals and robust means of finite values (n,), n > 0 unless stated otherwise."""
 
 from __future__ import annotations
 
@@ -60,11 +60,8 @@ def ratio_interval(
     ratios = np.sort(np.minimum(tops / np.maximum(bottoms, 1e-12), 1e12))
     low = ratios[int(0.025 * _RESAMPLES)]
     high = ratios[int(0.975 * _RESAMPLES)]
-    return (
-        float(of(numerator, axis=0) / max(float(of(denominator, axis=0)), 1e-12)),
-        float(low),
-        float(high),
-    )
+    ratio = of(numerator, axis=0) / max(float(of(denominator, axis=0)), 1e-12)
+    return float(ratio), float(low), float(high)
 
 
 def wilson(count: int, total: int) -> tuple[float, float]:
@@ -79,12 +76,11 @@ def wilson(count: int, total: int) -> tuple[float, float]:
     z = 1.959963984540054
     rate = count / total
     centre = (rate + z * z / (2 * total)) / (1 + z * z / total)
-    half = (
-        z * np.sqrt(rate * (1 - rate) / total + z * z / (4 * total * total)) / (1 + z * z / total)
-    )
-    return (0.0 if count == 0 else float(centre - half)), (
-        1.0 if count == total else float(centre + half)
-    )
+    root = np.sqrt(rate * (1 - rate) / total + z * z / (4 * total * total))
+    half = z * root / (1 + z * z / total)
+    low = 0.0 if count == 0 else float(centre - half)
+    high = 1.0 if count == total else float(centre + half)
+    return low, high
 
 
 def iqm(values: ArrayLike) -> float:
@@ -108,7 +104,7 @@ def iqm_interval(values: ArrayLike, seed: int = 0) -> tuple[float, float]:
     """
     values = np.atleast_2d(np.asarray(values, dtype=np.float64))
     rng = np.random.default_rng(seed)
-    (rows, columns) = values.shape
+    rows, columns = values.shape
     draws = [
         iqm(values[rng.integers(0, rows, rows)][:, rng.integers(0, columns, columns)])
         for _ in range(_RESAMPLES)

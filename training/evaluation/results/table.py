@@ -6,6 +6,7 @@ import io
 import lzma
 import re
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -32,43 +33,29 @@ Rows: TypeAlias = Any
 DTYPES = {"text": "string", "whole": "Int64", "real": "float64", "flag": "boolean"}
 KINDS = {name: DTYPES[column.kind] for name, column in COLUMNS.items()}
 """Type of every column in a table."""
+_PERCENTILES = {"p90": 90.0, "p95": 95.0, "p99": 99.0, "p999": 99.9}
+_INTERVALS: dict[str, tuple[str, Callable[[NDArray[np.float64]], tuple[float, float]]]] = {
+    "": ("95 % interval of the median", median_interval),
+    "mean_": ("95 % bootstrap interval of the mean", mean_interval),
+    "rate_": ("95 % Wilson interval of the rate", lambda x: wilson(int(x.sum()), len(x))),
+    "iqm_": ("95 % bootstrap interval of the interquartile mean", iqm_interval),
+}
 STATISTICS: dict[str, tuple[str, Callable[[NDArray[np.float64]], float]]] = {
-    "median": ("median", lambda x: float(np.median(x))),
-    "low": ("lower end of the 95 % interval of the median", lambda x: median_interval(x)[0]),
-    "high": ("upper end of the 95 % interval of the median", lambda x: median_interval(x)[1]),
-    "p90": ("90th percentile", lambda x: float(np.percentile(x, 90))),
-    "p95": ("95th percentile", lambda x: float(np.percentile(x, 95))),
-    "p99": ("99th percentile", lambda x: float(np.percentile(x, 99))),
-    "p999": ("99.9th percentile", lambda x: float(np.percentile(x, 99.9))),
-    "min": ("least", lambda x: float(x.min())),
-    "max": ("largest", lambda x: float(x.max())),
-    "sum": ("sum", lambda x: float(x.sum())),
-    "mean": ("mean", lambda x: float(x.mean())),
-    "mean_low": (
-        "lower end of the 95 % bootstrap interval of the mean",
-        lambda x: mean_interval(x)[0],
-    ),
-    "mean_high": (
-        "upper end of the 95 % bootstrap interval of the mean",
-        lambda x: mean_interval(x)[1],
-    ),
-    "rate_low": (
-        "lower end of the 95 % Wilson interval of the rate",
-        lambda x: wilson(int(x.sum()), len(x))[0],
-    ),
-    "rate_high": (
-        "upper end of the 95 % Wilson interval of the rate",
-        lambda x: wilson(int(x.sum()), len(x))[1],
-    ),
+    "median": ("median", np.median),
+    "min": ("least", np.min),
+    "max": ("largest", np.max),
+    "sum": ("sum", np.sum),
+    "mean": ("mean", np.mean),
     "iqm": ("interquartile mean", iqm),
-    "iqm_low": (
-        "lower end of the 95 % bootstrap interval of the interquartile mean",
-        lambda x: iqm_interval(x)[0],
-    ),
-    "iqm_high": (
-        "upper end of the 95 % bootstrap interval of the interquartile mean",
-        lambda x: iqm_interval(x)[1],
-    ),
+    **{
+        name: (f"{rank:g}th percentile", partial(np.percentile, q=rank))
+        for name, rank in _PERCENTILES.items()
+    },
+    **{
+        f"{prefix}{end}": (f"{side} end of the {words}", lambda x, f=interval, k=k: f(x)[k])
+        for prefix, (words, interval) in _INTERVALS.items()
+        for k, (end, side) in enumerate((("low", "lower"), ("high", "upper")))
+    },
 }
 """Statistics of finite values (n,), n > 0.
 
@@ -88,13 +75,12 @@ def table(rows: Iterable[Mapping[str, Any]] | pd.DataFrame) -> pd.DataFrame:
         0    ball           3
         1  smooth        <NA>
     """
-    made = rows if isinstance(rows, pd.DataFrame) else pd.DataFrame(list(rows))
-    unknown = [name for name in made.columns if name not in COLUMNS]
-    if unknown:
+    frame = rows if isinstance(rows, pd.DataFrame) else pd.DataFrame(list(rows))
+    if unknown := [name for name in frame.columns if name not in COLUMNS]:
         raise InvalidInputError(
             f"unknown columns {', '.join(map(str, unknown))}: add them to COLUMNS in training/evaluation/results/columns.py"
         )
-    ordered = made[[name for name in COLUMNS if name in made.columns]].dropna(axis=1, how="all")
+    ordered = frame[[name for name in COLUMNS if name in frame.columns]].dropna(axis=1, how="all")
     try:
         typed = {name: ordered[name].astype(KINDS[name]) for name in ordered.columns}
     except (TypeError, ValueError) as error:
@@ -102,11 +88,10 @@ def table(rows: Iterable[Mapping[str, Any]] | pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(typed, index=ordered.index).reset_index(drop=True)
 
 
-def join(parts: Iterable[pd.DataFrame]) -> pd.DataFrame:
+def join(tables: Iterable[pd.DataFrame]) -> pd.DataFrame:
     """Concatenate tables."""
-    # a part may lack a column, so its values are concatenated as Python objects; `table` restores
-    # the type
-    untyped = [part.astype(object) for part in parts]
+    # a table may lack a column, so values are concatenated as objects; `table` restores the type
+    untyped = [rows.astype(object) for rows in tables]
     return table(pd.concat(untyped, ignore_index=True) if untyped else [])
 
 
@@ -144,16 +129,11 @@ def read(path: Path) -> pd.DataFrame:
             raise ValueError("its last line is cut off")
         # as text first: not every version of pandas reads the same real number from it
         read_as = {name: "str" if kind == "float64" else kind for name, kind in KINDS.items()}
-        made = pd.read_csv(
-            io.BytesIO(blob),
-            dtype=read_as,
-            keep_default_na=False,
-            na_values=[""],
-            lineterminator="\n",
-        )
-        if unknown := [name for name, text in described(made.columns).items() if not text]:
+        empty: dict[str, Any] = {"keep_default_na": False, "na_values": [""]}
+        rows = pd.read_csv(io.BytesIO(blob), dtype=read_as, lineterminator="\n", **empty)
+        if unknown := [name for name, text in described(rows.columns).items() if not text]:
             raise ValueError(f"it has the unknown column {unknown[0][:100]!r}")
-        return made.astype({name: KINDS[name] for name in made.columns if name in KINDS})
+        return rows.astype({name: KINDS[name] for name in rows.columns if name in KINDS})
 
     words = {
         "name": f"the table {path}",
@@ -173,11 +153,10 @@ def summary(rows: pd.DataFrame) -> pd.DataFrame:
     """Summarise a table: one row for each combination of keys, with the statistics of every column.
 
     Returns:
-        The keys that the table has, the number of rows `n`, and one `<column>_<statistic>` for each
-        statistic that `COLUMNS` lists
-        for the column. Rows are in the order in which their keys first appear. In a group without
-        finite values, all statistics except
-        `missing` are NaN. Columns without any value are left out.
+        The keys that the table has, the number of rows `n`, and `<column>_<statistic>` for each
+        statistic of the column in `COLUMNS`. Rows are in the order in which their keys first
+        appear. Of a group without finite values, all statistics except `missing` are NaN. Columns
+        without any value are left out.
 
     Example:
         >>> rows = table([{"case": "ball", "held": True}, {"case": "ball", "held": False}, {"case": "jump", "held": True}])
@@ -188,27 +167,25 @@ def summary(rows: pd.DataFrame) -> pd.DataFrame:
     """
     keys = [name for name in KEYS if name in rows.columns]
     values = {name: numbers(rows, name) for name in rows.columns if COLUMNS[name].statistics}
+    groups = {(): np.arange(len(rows))}
+    if keys:
+        groups = rows.groupby(keys, sort=False, dropna=False).indices
     out = []
-    groups = (
-        rows.groupby(keys, sort=False, dropna=False).indices if keys else {(): np.arange(len(rows))}
-    )
-    for places in groups.values():
-        row: dict[str, Any] = {name: rows[name].iloc[places[0]] for name in keys} | {
-            "n": len(places)
-        }
+    for indices in groups.values():
+        row: dict[str, Any] = {name: rows[name].iloc[indices[0]] for name in keys}
+        row["n"] = len(indices)
         for name, column in values.items():
-            some = column[places]
-            finite = some[np.isfinite(some)]
+            group = column[indices]
+            finite = group[np.isfinite(group)]
             for statistic in COLUMNS[name].statistics:
                 if statistic == "missing":
-                    row[f"{name}_missing"] = int(np.isnan(some).sum())
+                    value = int(np.isnan(group).sum())
                 else:
-                    row[f"{name}_{statistic}"] = (
-                        STATISTICS[statistic][1](finite) if len(finite) else np.nan
-                    )
+                    value = float(STATISTICS[statistic][1](finite)) if len(finite) else np.nan
+                row[f"{name}_{statistic}"] = value
         out.append(row)
-    made = pd.DataFrame(out).dropna(axis=1, how="all")
-    return made.astype({name: KINDS[name] for name in keys if name in made.columns})
+    means = pd.DataFrame(out).dropna(axis=1, how="all")
+    return means.astype({name: KINDS[name] for name in keys if name in means.columns})
 
 
 def described(columns: Iterable[str]) -> dict[str, str]:
@@ -240,10 +217,7 @@ def described(columns: Iterable[str]) -> dict[str, str]:
 def chosen(rows: pd.DataFrame, query: str) -> pd.DataFrame:
     """Return the rows that a query of `DataFrame.query` selects; none if a column is missing."""
     names = set(re.findall(r"[A-Za-z_]\w*", re.sub(r"'[^']*'|\"[^\"]*\"", "", query)))
-    lacking = (names & {*COLUMNS}) - {*rows.columns}
+    if (names & {*COLUMNS}) - {*rows.columns}:
+        return rows.iloc[:0]
     # of the named columns alone, since `query` reads all
-    return (
-        rows.iloc[:0]
-        if lacking
-        else rows.loc[rows[[*names.intersection(rows.columns)]].eval(query)]
-    )
+    return rows.loc[rows[[*names.intersection(rows.columns)]].eval(query)]

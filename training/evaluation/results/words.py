@@ -28,11 +28,9 @@ def small(value: float) -> str:
     """
     if value <= 0:
         return "0"
-    return (
-        f"{value:g}"
-        if 0.05 < value < 1e5
-        else f"{value:.0e}".replace("e-0", "e-").replace("e+0", "e")
-    )
+    if 0.05 < value < 1e5:
+        return f"{value:g}"
+    return f"{value:.0e}".replace("e-0", "e-").replace("e+0", "e")
 
 
 def shortened(text: str, most: int) -> str:

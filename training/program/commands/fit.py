@@ -45,24 +45,21 @@ class Fit(FitConfig):
             from training.fit.one_grasp import fit
             from training.fit.state import StateFile
 
-            settings = FitConfig(
-                **{name: getattr(self, name) for name in FitConfig.__dataclass_fields__}
-            )
-            checkpoint = fit(
-                settings, True, " ".join(["grasp", *sys.argv[1:]]), self.out, self.resume
-            )
+            names = FitConfig.__dataclass_fields__
+            settings = FitConfig(**{name: getattr(self, name) for name in names})
+            command = " ".join(["grasp", *sys.argv[1:]])
+            checkpoint = fit(settings, True, command, self.out, self.resume)
             path = checkpoint.save(self.out)
             StateFile(self.out, {}).remove()
-        ball, flow = (
-            checkpoint.card["held_out_gap"][name]
-            for name in ("ball", "ball, friction of the grasp")
-        )
-        most = 100 * sum(ball["newton steps"][steps] for steps in ("0", "1"))
+        gaps = checkpoint.card["held_out_gap"]
+        ball = gaps["ball"]
+        flow = gaps["ball, friction of the grasp"]["flow iterations"]
+        share = 100 * (ball["newton steps"]["0"] + ball["newton steps"]["1"])
         console = Console(highlight=False)
         # one line; a terminal wraps it between words
         console.print(
             f"{path}{' (quick: a rough model)' if self.quick else ''}: on the standard ball a gap of {ball['gap']['median']:.1e} median, "
-            f"{ball['gap']['p99']:.1e} p99, {most:.0f} % certified within one Newton step; alone {flow['flow iterations']['median']:g} "
-            f"iterations of the flow median, {flow['flow iterations']['p99']:g} p99",
+            f"{ball['gap']['p99']:.1e} p99, {share:.0f} % certified within one Newton step; alone {flow['median']:g} "
+            f"iterations of the flow median, {flow['p99']:g} p99",
             soft_wrap=not console.is_terminal,
         )

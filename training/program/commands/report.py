@@ -41,8 +41,8 @@ class Report:
             from training.evaluation.report.side_by_side import write as compare
 
             a, b = (Run.open(folder) for folder in self.compare)
-            made = compare(a, b, b)
-            sys.stdout.write(f"{made.head(40).to_string(index=False, na_rep='')}\n")
+            table = compare(a, b, b)
+            sys.stdout.write(f"{table.head(40).to_string(index=False, na_rep='')}\n")
             sys.stderr.write(f"report: {b.folder / 'compare.html'}\n")
             return
         from training.evaluation.report.page import write
