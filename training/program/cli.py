@@ -147,12 +147,10 @@ def _parse(words: list[str]) -> Any:
 
 
 def _load(name: str) -> Any:
-    """Return the class of a sub-command."""
     return getattr(import_module(f"training.program.commands.{name}"), COMMANDS[name][0])
 
 
 def _version() -> str:
-    """Return the versions of package, core and Python."""
     import platform
 
     from grasp_env import __version__

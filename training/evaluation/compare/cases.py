@@ -29,8 +29,7 @@ FRICTIONS = (0.2, 0.7, 0.8)
 DISPLACEMENT = 0.010
 """Largest displacement of a contact on its face [m]."""
 _PER_GRASP = 4
-_LINE = 401
-"""Number of points of a straight path."""
+_LINE = 401  # points of a straight path
 _AXES = ("x", "y", "z", "mx", "my", "mz")
 _PAIRS = ((0, 1), (1, 2), (2, 0), (3, 4), (4, 5), (5, 3))
 _RADII = np.repeat([FORCE_RADIUS, MOMENT_RADIUS], 3)
@@ -205,10 +204,13 @@ def _random(contacts: int, rng: np.random.Generator, count: int) -> list[Case]:
     ]
 
 
-def _recorded(name: str, rng: np.random.Generator, count: int) -> list[Case]:
-    from training.evaluation.compare import recorded  # loads the simulator
+def _recorded(name: str) -> Maker:
+    def make(rng: np.random.Generator, count: int) -> list[Case]:
+        from training.evaluation.compare import recorded  # loads the simulator
 
-    return recorded.CASES[name](rng, count)[:count]
+        return recorded.CASES[name](rng, count)[:count]
+
+    return make
 
 
 _DRAW = "the draw before it, an unrelated wrench"
@@ -251,19 +253,20 @@ SETS: dict[str, CaseSet] = {
     "positions": CaseSet(
         "every contact up to 10 mm off on its face, the ball", _DRAW, _positions, 0.6
     ),
-    "random_4": CaseSet(
-        "random grasps of 4 contacts, the ball", _COLD, partial(_random, 4), fixed=False
-    ),
-    "random_3": CaseSet(
-        "random grasps of 3 contacts, the ball", _COLD, partial(_random, 3), 0.4, fixed=False
-    ),
-    "random_5": CaseSet(
-        "random grasps of 5 contacts, the ball", _COLD, partial(_random, 5), 0.4, fixed=False
-    ),
+    **{
+        f"random_{contacts}": CaseSet(
+            f"random grasps of {contacts} contacts, the ball",
+            _COLD,
+            partial(_random, contacts),
+            share,
+            fixed=False,
+        )
+        for contacts, share in ((4, 1.0), (3, 0.4), (5, 0.4))
+    },
     "rollout_cold": CaseSet(
         "first optimisation of an episode, random object",
         _COLD,
-        partial(_recorded, "rollout_cold"),
+        _recorded("rollout_cold"),
         0.15,
         fixed=False,
         cost=6.0,
@@ -271,14 +274,14 @@ SETS: dict[str, CaseSet] = {
     "rollout_moving": CaseSet(
         "random wrench, moving contacts, 50 per second",
         _STEP,
-        partial(_recorded, "rollout_moving"),
+        _recorded("rollout_moving"),
         fixed=False,
         cost=2.0,
     ),
     "rollout_impulses": CaseSet(
         "impacts on random objects: the wrench moves by a quarter of the ball's radius or more in a step",
         _STEP,
-        partial(_recorded, "rollout_impulses"),
+        _recorded("rollout_impulses"),
         0.4,
         fixed=False,
         cost=5.0,
@@ -286,7 +289,7 @@ SETS: dict[str, CaseSet] = {
     "rollout_fixed": CaseSet(
         "the same impacts on the 0.1 m cuboid, contacts near the fixed grasp's",
         _STEP,
-        partial(_recorded, "rollout_fixed"),
+        _recorded("rollout_fixed"),
         0.4,
         fixed=False,
         cost=4.0,
@@ -294,7 +297,7 @@ SETS: dict[str, CaseSet] = {
     "rollout_changes": CaseSet(
         "changes of contact: a finger lost, landed or slipped 3 to 10 mm",
         "the solution with the contacts before, the finger that lands with its own optimum of no load",
-        partial(_recorded, "rollout_changes"),
+        _recorded("rollout_changes"),
         0.6,
         fixed=False,
         cost=4.0,

@@ -166,7 +166,6 @@ def _starts(
 def _evaluated(
     name: str, starts: Mapping[str, ComparedStart], given: Mapping[str, InitialForceRule]
 ) -> dict[str, ComparedStart]:
-    """Return the starts that are evaluated on a set."""
     only = SETS[name].starts
     return {key: start for key, start in starts.items() if not only or key in {*only, *given}}
 
@@ -194,8 +193,8 @@ def time_calls(name: str, config: StartsConfig, given: Given, objective: Objecti
         newton = optimizer(grasp, "newton", objective, TOLERANCE)
         for k in block:
             optima[k] = newton.solve(cases[k].wrench).force
-    before = {k: block[place - 1] for block in blocks.values() for place, k in enumerate(block)}
-    calls: dict[tuple[str, str], tuple[Call, Call | None]] = {}
+    before = {k: block[i - 1] for block in blocks.values() for i, k in enumerate(block)}
+    calls = dict[tuple[str, str], Call]()
     compiled = dict[tuple[str, str], np.ndarray]()
     for key, start in starts.items():
 
@@ -208,12 +207,11 @@ def time_calls(name: str, config: StartsConfig, given: Given, objective: Objecti
                 for grasp in blocks
             }
             force = None if start.options else alone
-            calls[key, method] = (
-                lambda k, loops=loops, force=force: loops[cases[k].grasp].solve(
-                    cases[k].wrench, initial=force and force(k)
-                ),
-                alone if method == FLOW else None,
+            calls[key, method] = lambda k, loops=loops, force=force: loops[cases[k].grasp].solve(
+                cases[k].wrench, initial=force and force(k)
             )
+            if method == FLOW:
+                calls[key, "alone"] = alone
             if start.compiled:
                 compiled[key, method] = best = np.empty(len(cases))
                 for grasp, block in blocks.items():
@@ -223,18 +221,16 @@ def time_calls(name: str, config: StartsConfig, given: Given, objective: Objecti
                     loads = np.array([cases[k].wrench for k in block])
                     core.times(loads, 2 + config.repeats, records, seconds)
                     best[block] = 1e6 * seconds
-    best_of = {who: np.full((2, len(cases)), np.inf) for who in calls}
+    best_of = {key: np.full(len(cases), np.inf) for key in calls}
     collecting = gc.isenabled()
     try:
         with progress() as bar:
             for turn in bar.track(range(-1, config.repeats), description="timing calls"):
                 gc.collect()
                 gc.disable()
-                for who, both in calls.items():
-                    for place, call in enumerate(both):
-                        for block in blocks.values():
-                            if call is not None:
-                                _time(call, best_of[who][place], block, counted=turn >= 0)
+                for key, call in calls.items():
+                    for block in blocks.values():
+                        _time(call, best_of[key], block, counted=turn >= 0)
     finally:
         if collecting:
             gc.enable()
@@ -246,10 +242,11 @@ def time_calls(name: str, config: StartsConfig, given: Given, objective: Objecti
             "start": start,
             "method": method,
             "microseconds": total[k],
-            "start_microseconds": best_of[start, FLOW][1][k],
+            "start_microseconds": best_of[start, "alone"][k],
             "compiled_microseconds": compiled.get((start, method), missing)[k],
         }
-        for (start, method), (total, _) in best_of.items()
+        for (start, method), total in best_of.items()
+        if method in METHODS
         for k in range(len(cases))
     ).replace(np.inf, np.nan)
 

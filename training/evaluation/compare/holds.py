@@ -339,5 +339,4 @@ def _kinematics(hand: str | HandDescription) -> HandKinematics:
 
 @cache
 def _hand(name: str) -> str | HandDescription:
-    """Return the name of a preset hand, or the description of a hand in a file."""
     return name if name in HANDS else HandDescription.from_file(name)

@@ -71,16 +71,11 @@ def write(run: Run) -> tuple[Path, list[Verdict]]:
         write_summary(run.path("summary.csv"), means)
         derived = getattr(page_module, "derive", lambda means: means)(means)
         claims = judge(claims_of(about), derived)
-        figures = [
-            (
-                title,
-                caption,
-                base64.b64encode(svg(figure).encode()).decode("ascii"),
-                f"{title}. {caption}",
-            )
-            for title, caption, draw in getattr(page_module, "FIGURES", ())
-            if (figure := draw(rows, derived)) is not None
-        ]
+        figures = []
+        for title, caption, draw in getattr(page_module, "FIGURES", ()):
+            if (figure := draw(rows, derived)) is not None:
+                image = base64.b64encode(svg(figure).encode()).decode("ascii")
+                figures.append((title, caption, image, f"{title}. {caption}"))
         tables = [
             (title, note, make(rows, derived))
             for title, note, make in getattr(page_module, "TABLES", [_SUMMARY_TABLE])
@@ -125,10 +120,8 @@ def claims_of(about: dict[str, Any]) -> list[Claim]:
 
 def facts_of(about: dict[str, Any]) -> list[tuple[str, str]]:
     """Return machine, versions, command and settings for display."""
-    machine = {
-        **dict.fromkeys(("processor", "cores", "system", "python"), "–"),
-        **about.get("machine", {}),
-    }
+    unknown = dict.fromkeys(("processor", "cores", "system", "python"), "–")
+    machine = unknown | about.get("machine", {})
     versions = {"Python": machine["python"], **about.get("versions", {})}
     facts = {
         "machine": "{processor}, {cores} cores, {system}".format(**machine),

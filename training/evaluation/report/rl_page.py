@@ -88,14 +88,13 @@ def scores_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
     out = []
     for environment in _environments(rows):
         steps = _by_agent(rows, "held_out", environment)
-        last_steps = {agent: mine[mine["held"].notna()] for agent, mine in steps.items()}
+        last = {agent: mine[mine["held"].notna()] for agent, mine in steps.items()}
         iterations = {
-            agent: ends.groupby("seed")["mean_iterations"].mean()
-            for agent, ends in last_steps.items()
+            agent: ends.groupby("seed")["mean_iterations"].mean() for agent, ends in last.items()
         }
         for agent, means in _by_agent(summary, "held_out", environment).items():
             row = means.iloc[0]
-            ends = last_steps[agent]
+            ends = last[agent]
             cells = {
                 "environment": place(environment),
                 "policy": AGENTS[agent][0],
@@ -117,11 +116,8 @@ def scores_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
                 "largest drift [mm]": row.get("drift_mean"),
             }
             # training seeds and episodes are drawn anew, so that an agent's interval is over both
-            returns = (
-                ends.fillna({"training_seed": -1})
-                .pivot_table("return", "training_seed", "seed")
-                .to_numpy(float)
-            )
+            ends = ends.fillna({"training_seed": -1})
+            returns = ends.pivot_table("return", "training_seed", "seed").to_numpy(float)
             out.append(cells | {"return": _interval(iqm(returns), *iqm_interval(returns))})
     return pd.DataFrame(out)
 
@@ -133,7 +129,8 @@ def training_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
         curves = _by_agent(rows, "curve", environment)
         for agent, trained in _by_agent(rows, "training", environment).items():
             for _, row in trained.iterrows():
-                mine: Any = curves[agent][curves[agent]["training_seed"] == row["training_seed"]]
+                curve: Any = curves[agent][curves[agent]["training_seed"] == row["training_seed"]]
+                speed = row["training_steps"] / max(row["cpu_seconds"], 1e-9)
                 cells = {
                     "environment": place(environment),
                     "agent": AGENTS[agent][0],
@@ -141,15 +138,12 @@ def training_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
                     "environment steps": row["training_steps"],
                     "seconds": row["seconds"],
                     "of processor": row["cpu_seconds"],
-                    "steps per processor second": round(
-                        row["training_steps"] / max(row["cpu_seconds"], 1e-9)
-                    ),
+                    "steps per processor second": round(speed),
                 }
                 for name, label in (("mean_iterations", "iterations"), ("return", "return")):
-                    means = mine.groupby("training_steps")[name].mean().dropna().tolist()
-                    cells[f"{label}, first → last"] = (
-                        f"{number(means[0])} → {number(means[-1])}" if means else None
-                    )
+                    means = curve.groupby("training_steps")[name].mean().dropna().tolist()
+                    ends = f"{number(means[0])} → {number(means[-1])}" if means else None
+                    cells[f"{label}, first → last"] = ends
                 out.append(cells)
     return pd.DataFrame(out)
 

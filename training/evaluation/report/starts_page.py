@@ -256,15 +256,15 @@ def network_figure(rows: Rows, means: Rows) -> Figure | None:
         panel.step(1 + done, share, where="post", label=info.short, **look)
     if not panel.lines:
         return None
-    panel.set(
-        xscale="log",
-        xlabel="1 + accepted steps of the flow",
-        ylabel="share of the problems",
-        ylim=(0, 1.02),
-    )
-    panel.set_xticks([1, 10, 100, 1000], ["1", "10", "100", "1000"])
+    _style_shares(panel, "1 + accepted steps of the flow", 1000)
     panel.legend(fontsize=8.5, frameon=False, loc="lower right")
     return figure
+
+
+def _style_shares(panel: Any, label: str, last: int) -> None:
+    panel.set(xscale="log", xlabel=label, ylabel="share of the problems", ylim=(0, 1.02))
+    ticks = [tick for tick in (1, 10, 100, 1000) if tick <= last]
+    panel.set_xticks(ticks, [str(tick) for tick in ticks])
 
 
 def profile(query: str, column: str, across: str, by: str = "start") -> Any:
@@ -282,27 +282,21 @@ def profile(query: str, column: str, across: str, by: str = "start") -> Any:
         values = numbers(solves, column) + counted
         values[(values > ITERATION_LIMIT + 1) & counted] = np.nan
         name = solves["start"] + (" · " + solves["method"] if by == "both" else "")
-        grid: Rows = solves.assign(value=values, who=name).pivot(
-            index=["case", "problem"], columns="who", values="value"
+        grid: Rows = solves.assign(value=values, name=name).pivot(
+            index=["case", "problem"], columns="name", values="value"
         )
         ratio = grid.div(grid.min(axis=1), axis=0).to_numpy()
         figure, panel = axes(3.1)
         factor = np.geomspace(1.0, 100.0, 120)
         tint = colours(keys)
-        for place, who in enumerate(grid.columns):
-            key, _, method = str(who).partition(" · ")
-            share = [(ratio[:, place] <= tau * (1 + 1e-12)).mean() for tau in factor]
+        for name, ratios in zip(grid.columns, ratio.T, strict=True):
+            key, _, method = str(name).partition(" · ")
+            share = [(ratios <= tau * (1 + 1e-12)).mean() for tau in factor]
             style = "--" if start_info(key).dashed else ":" if method == "newton" else "-"
             label = start_info(key).short + (" · Newton" if method == "newton" else "")
             panel.plot(factor, share, style, color=tint[key], label=label)
-        panel.set(
-            xscale="log",
-            xlabel=across,
-            ylabel="share of the problems",
-            ylim=(0, 1.02),
-            xlim=(1, 100),
-        )
-        panel.set_xticks([1, 10, 100], ["1", "10", "100"])
+        _style_shares(panel, across, 100)
+        panel.set_xlim(1, 100)
         panel.legend(fontsize=7.5, frameon=False, loc="lower right", ncols=2 if by == "both" else 1)
         return figure
 

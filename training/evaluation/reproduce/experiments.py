@@ -321,7 +321,6 @@ def costs(grasps: tuple[Grasp, ...], repeats: int) -> Rows:
 
 
 def _product(cases: Cases) -> float:
-    """Return the nanoseconds of one product step."""
     x = cases.grasp.to_cone(cases.starts[0])
 
     def step(count: int) -> None:

@@ -108,7 +108,6 @@ class Evaluate:
             )
 
     def _measure(self, kind: str, folder: Any) -> tuple[Any, dict[str, Any]]:
-        """Return the rows of the comparison and the settings for run.json."""
         shared = {"on": self.on, "workers": self.workers}
         if kind == "starts":
             from training.evaluation.compare.comparison import StartsConfig, run

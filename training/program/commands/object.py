@@ -152,7 +152,6 @@ class Object:
         return facts, _repaired_page(facts)
 
     def _out(self, file: Path) -> Path:
-        """Return the path of the repaired mesh."""
         _check_suffix(self.out, "--out", ".obj")
         out = file.with_name(f"{file.stem}_mended.obj") if self.out is None else self.out
         if self.out is None and os.path.lexists(out):

@@ -105,7 +105,6 @@ class Solve:
             write_json(numbers(solution, grasp, advice))
 
     def _grasp(self) -> tuple[Grasp, str]:
-        """Return the contacts and their name."""
         if self.grasp is None:
             return preset(self.preset, self.friction), self.preset
         grasp = load_grasp(self.grasp)

@@ -109,7 +109,6 @@ class BareContacts(Window):
             self._screw.points = look.screw(twist, self.positions.mean(axis=0), self._extent)
 
     def _stand(self, mesh: trimesh.Trimesh, positions: Array, normals: Array) -> None:
-        """Replace the body and the contacts."""
         self._standing = self.shape.value, int(self.count.value)
         self.mesh = mesh
         self.positions = positions
