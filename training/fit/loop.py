@@ -115,10 +115,10 @@ def optimise(
     parameters = list(task.module.parameters())
     optimiser = Soap(parameters, lr=config.learning_rate)
     now = FitProgress()
-    mark = 0.0
+    next_score = 0.0
     if state is not None and resume:
         now = state.restore(task.module, optimiser, rng)
-        mark = _next_mark(task.done(now))
+        next_score = _next_mark(task.done(now))
     begun = now.seconds - time.perf_counter(), now.cpu_seconds - time.process_time()
 
     def gradients(share: Samples) -> tuple[Tensor, ...]:
@@ -131,10 +131,10 @@ def optimise(
     ):
         while True:
             done = task.done(now)
-            if done >= min(mark, 1.0):
+            if done >= min(next_score, 1.0):
                 row = task.score()
                 now.curve.append([float(now.step), round(now.seconds, 2), *row])
-                mark = _next_mark(done)
+                next_score = _next_mark(done)
                 report(now, row)
                 if state is not None and done > 0.0:
                     state.save(task.module, optimiser, rng, now)

@@ -52,8 +52,7 @@ def fit(
         config: all settings.
         progress: show the progress on stderr.
         command: command recorded in the model card.
-        out: stem of the model's files, beside which an interrupted training is kept; None: it is
-            not kept.
+        out: stem of the model's files, which keeps an interrupted training; None: none is kept.
         resume: continue an interrupted training.
 
     Raises:

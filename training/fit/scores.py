@@ -37,18 +37,18 @@ def scores(
     alone = NetworkAlone(model)
     rows: list[tuple[float, bool, int, int]] = []
     for friction, indices in groupby(range(len(wrenches)), key=lambda k: float(frictions[k])):
-        here = with_mean_friction(grasp, friction)
+        varied = with_mean_friction(grasp, friction)
         exact, newton = (
-            optimizer(here, "newton", model.objective, gap) for gap in (EXACT, TOLERANCE)
+            optimizer(varied, "newton", model.objective, gap) for gap in (EXACT, TOLERANCE)
         )
-        reduced = optimizer(here, FLOW, model.objective, TOLERANCE) if flow else newton
+        reduced = optimizer(varied, FLOW, model.objective, TOLERANCE) if flow else newton
         for wrench in wrenches[list(indices)]:
-            raw = model.raw(here, wrench)
-            start = alone(here, wrench)
-            gap = model.objective.value(here.to_cone(start)) / exact.solve(wrench).objective - 1.0
+            raw = model.raw(varied, wrench)
+            start = alone(varied, wrench)
+            gap = model.objective.value(varied.to_cone(start)) / exact.solve(wrench).objective - 1.0
             flow_steps = reduced.solve(wrench, initial=start).iterations if flow else 0
             newton_steps = newton.solve(wrench, initial=start).iterations
-            outside = here.cone_margin(raw) <= 0.0
+            outside = varied.cone_margin(raw) <= 0.0
             rows.append((max(0.0, gap), outside, newton_steps, flow_steps))
     gaps, outside, steps, iterations = np.array(rows).T
     names = [*map(str, range(MOST)), f"{MOST} or more"]

@@ -124,14 +124,14 @@ def check_settings(folder: Path, config: RLConfig, seed: int) -> dict[str, Any]:
     meta = read_meta(path)
     now = {**asdict(config), "env_settings": config.env_settings}
     before = {**meta["config"], "env_settings": meta["env_settings"]}
-    wrong = {
+    changed = {
         name: value
         for name, value in now.items()
         if name not in _FREE and before.get(name) != value
     }
-    if wrong or meta["seed"] != seed:
+    if changed or meta["seed"] != seed:
         changes = ", ".join(
-            f"{name} {before.get(name)!r}, now {value!r}" for name, value in wrong.items()
+            f"{name} {before.get(name)!r}, now {value!r}" for name, value in changed.items()
         )
         raise InvalidInputError(
             f"{path} was trained with other settings ({changes or 'another seed'}): give the same, or another --out"

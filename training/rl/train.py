@@ -182,7 +182,7 @@ def _finish(
     shards: dict[str, Shard],
     config: RLConfig,
     on: str,
-    more: Sequence[dict[str, Any]] = (),
+    speed_rows: Sequence[dict[str, Any]] = (),
 ) -> Run:
     """Train and score agents, score the baselines in the same environments, and save the run."""
     configs = {shard.config.env: shard.config for shard in shards.values()}
@@ -205,14 +205,13 @@ def _finish(
         except KeyboardInterrupt:
             stop.touch()
             raise
-    if more:
-        rows = join([rows, table(more)])
+    if speed_rows:
+        rows = join([rows, table(speed_rows)])
     metas = [read_meta(find_checkpoint(shard.folder)) for shard in shards.values() if shard.folder]
-    kept_keys = ("algorithm", "action", "seed", "steps", "config", "env_settings", "provenance")
-    agents = [{key: meta[key] for key in kept_keys} for meta in metas]
-    run.save(
-        rows, {"kind": "rl", "quick": config.quick, "config": asdict(config), "agents": agents}
-    )
+    keys = ("algorithm", "action", "seed", "steps", "config", "env_settings", "provenance")
+    agents = [{key: meta[key] for key in keys} for meta in metas]
+    about = {"kind": "rl", "quick": config.quick, "config": asdict(config), "agents": agents}
+    run.save(rows, about)
     return run
 
 

@@ -83,10 +83,9 @@ class HoldsConfig:
                     check(choice, name, "hand", HANDS, hint)
             for name in self.engines:
                 check(choice, name, "engine", ENGINES)
-        for what, names in (
-            ("hands", [short_name(name) for name in self.hands]),
-            ("objects", [mesh_settings(text)[0] for text in self.objects]),
-        ):
+        hands = [short_name(name) for name in self.hands]
+        objects = [mesh_settings(text)[0] for text in self.objects]
+        for what, names in (("hands", hands), ("objects", objects)):
             if len(set(names)) < len(names):
                 raise InvalidInputError(
                     f"{what} need different names, got {', '.join(names)}: rename a file"
@@ -101,9 +100,8 @@ class HoldsConfig:
         if self.kind == "env":
             return scenarios.controllers_plan(episodes, self.quick)
         if self.kind in ("hands", "objects"):
-            return scenarios.hands_plan(
-                self.hands, self.engines or scenarios.usual_engines(), episodes, self.objects
-            )
+            engines = self.engines or scenarios.usual_engines()
+            return scenarios.hands_plan(self.hands, engines, episodes, self.objects)
         return scenarios.transfer_plan(self.hands or scenarios.PRESETS, episodes)
 
 
@@ -217,8 +215,8 @@ def draw_object(seed: int, config: EnvConfig) -> tuple[ObjectDescription, np.nda
     """Draw the random object of a seed within reach of the hand, in the ranges of `randomize`.
 
     Return the object, its contact points (N, 3) [m] in the object frame, and the number of objects
-    drawn before it without a grasp. None of these depends on the controller or the engine. There
-    are no points for a hand without a fixed pose, which is placed anew for every object.
+    drawn before it without a grasp; none of these depends on controller or engine. A hand without
+    a fixed pose, which is placed anew for every object, has no points.
     """
     rng = np.random.default_rng([seed, 0x0B1EC7])
     kinematics = _kinematics(config.hand)

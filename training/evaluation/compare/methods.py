@@ -11,8 +11,8 @@ FLOW = "reduced_flow"
 METHODS: dict[str, dict[str, Any]] = {FLOW: {"step_rule": BarzilaiBorweinStep()}, "newton": {}}
 """Options of `ForceOptimizer` by method.
 
-With this step rule the flow takes the fewest iterations and the least time, both from the
-12-basis and from the network; `training.evaluation.reproduce.experiments` compares all step rules.
+With this step rule the flow takes the fewest iterations and the least time, from the 12-basis and
+from the network; `training.evaluation.reproduce.experiments` compares all step rules.
 """
 
 

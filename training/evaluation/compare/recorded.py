@@ -58,9 +58,9 @@ def record(
         "duration": STEPS / 50,
         **(settings or RANDOM_OBJECTS),
     }
-    for place, hand in enumerate(hands):
+    for first, hand in enumerate(hands):
         with closing(FourFingerGrasp(hand=hand, **keywords)) as env:
-            for k in range(place, episodes, len(hands)):
+            for k in range(first, episodes, len(hands)):
                 running = episode(env, seeds[k], most=steps)
                 recording = problems[k]
                 deque(running, maxlen=0)

@@ -205,12 +205,12 @@ def controllers_plan(episodes: int, quick: bool = False) -> list[Scenario]:
     for scale in (0.25, 1.0):  # deterministic: one episode suffices
         path = {"disturbance": {"name": "paper_path", "scale": scale}, "duration": 4.0}
         plan += [scenario(f"path_{scale:g}", key, 1, path) for key in CONTROLLERS]
-    for error, wrong in ERRORS.items():
+    for error, settings in ERRORS.items():
         for key in CONTROLLERS:
             start = SAFE_START if error == "friction" and key in BASELINES else {}
-            plan.append(scenario(error, key, robust, {**RANDOM_WRENCH, **wrong, **start}))
+            plan.append(scenario(error, key, robust, {**RANDOM_WRENCH, **settings, **start}))
     margins, squeezes = ((0.6, 0.85), (20.0, 60.0)) if quick else (MARGINS, SQUEEZES)
-    for case, wrong in CURVES.items():
+    for case, settings in CURVES.items():
         for key in CONTROLLERS:
             if key != "estimated":
                 name, values = (
@@ -218,7 +218,7 @@ def controllers_plan(episodes: int, quick: bool = False) -> list[Scenario]:
                 )
                 count = robust if key == "paper" else min(robust, 60)
                 plan += [
-                    scenario(case, key, count, {**RANDOM_WRENCH, **wrong}, {name: value})
+                    scenario(case, key, count, {**RANDOM_WRENCH, **settings}, {name: value})
                     for value in values
                 ]
     return plan

@@ -39,7 +39,7 @@ STORED_RANGE = (0.1, 20.0)
 """Range of magnitudes of the stored solutions [N], as in the training of the shipped model."""
 KEPT = 0.95
 """Share of the way to the cones that is kept of a network's force outside them."""
-NEAR_PLACE, NEAR_NORMAL = 0.02, 0.95
+NEAR_DISTANCE, NEAR_NORMAL = 0.02, 0.95
 """Largest distance [m], and least cosine between normals, of contacts near the fixed grasp."""
 _FIXED = presets.paper_cuboid()
 
@@ -373,7 +373,7 @@ def require_near_fixed(grasp: Grasp) -> None:
     """Raise `DoesNotApply` unless the contacts are near those of `presets.paper_cuboid()`."""
     if (
         grasp.n_contacts != _FIXED.n_contacts
-        or bool(np.abs(grasp.positions - _FIXED.positions).max() > NEAR_PLACE)
+        or bool(np.abs(grasp.positions - _FIXED.positions).max() > NEAR_DISTANCE)
         or bool((grasp.normals * _FIXED.normals).sum(axis=1).min() < NEAR_NORMAL)
     ):
         raise DoesNotApply
@@ -385,8 +385,7 @@ def carry_force(
     """Carry a force of one grasp over to the contact frames of another.
 
     Each contact takes the force (N, 3) [N] of the nearest old contact within 20 mm, as a vector in
-    the object frame. A new finger gets its optimum without load, u = sqrt(lambda / omega), which is
-    strictly inside its cone, unlike zero.
+    the object frame. A new finger gets its optimum without load, u = sqrt(lambda / omega).
     """
     if old is new:
         return force
@@ -396,9 +395,9 @@ def carry_force(
     out = np.zeros((new.n_contacts, 3))
     out[:, 0] = np.sqrt(weights[:, 1] / weights[:, 0]) / new.friction
     for _ in range(min(distances.shape)):
-        here, there = np.unravel_index(int(distances.argmin()), distances.shape)
-        if distances[here, there] > NEAR_PLACE:
+        i, j = np.unravel_index(int(distances.argmin()), distances.shape)
+        if distances[i, j] > NEAR_DISTANCE:
             break
-        out[here] = new.frames[here].T @ vectors[there]
-        distances[here] = distances[:, there] = np.inf
+        out[i] = new.frames[i].T @ vectors[j]
+        distances[i] = distances[:, j] = np.inf
     return out

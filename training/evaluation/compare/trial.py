@@ -40,7 +40,7 @@ ITERATION_LIMIT = 5000
 OPTIMUM_GAP = 1e-10
 """Relative certified gap of the reference optima."""
 MAX_RESIDUAL = 1e-6
-"""Largest accepted balance residual of a force, divided by the force's largest component."""
+"""Largest accepted balance residual of a force, over the force's largest component."""
 PHI_ROUNDING = 1e-10
 """Relative difference of Phi that is rounding, for example between two orders of summation."""
 REASON_LENGTH = 120
@@ -53,8 +53,8 @@ class Quality:
 
     Attributes:
         gap: relative gap of Phi to the optimum; inf outside the cones.
-        margin: smallest cone margin, divided by the largest force component.
-        residual: balance residual, divided by the largest force component.
+        margin: smallest cone margin, over the largest force component.
+        residual: balance residual, over the largest force component.
     """
 
     gap: float
@@ -67,10 +67,8 @@ class Quality:
     ) -> Quality:
         """Evaluate a force (N, 3) in contact frames; `least_phi` is Phi at the optimum."""
         size = max(float(np.abs(force).max()), 1e-300)
-        gap = objective.value(grasp.to_cone(force)) / least_phi - 1.0
-        return cls(
-            max(0.0, gap), grasp.cone_margin(force) / size, grasp.residual(force, load) / size
-        )
+        gap = max(0.0, objective.value(grasp.to_cone(force)) / least_phi - 1.0)
+        return cls(gap, grasp.cone_margin(force) / size, grasp.residual(force, load) / size)
 
     def reason(self) -> str | None:
         """Return why the force is invalid; None if it balances the wrench inside the cones."""
@@ -91,15 +89,15 @@ class Optimizers:
     def __init__(self, objective: Objective) -> None:
         self.objective = objective
         self._cache: dict[Grasp, dict[str, ForceOptimizer]] = {}
-        self._cached_optimum: tuple[Grasp, Array, ContactForces, float] | None = None
+        self._last_optimum: tuple[Grasp, Array, ContactForces, float] | None = None
 
     def optimum(self, grasp: Grasp, load: Array) -> tuple[ContactForces, float]:
         """Return the force (N, 3) of least Phi, and Phi there."""
-        known = self._cached_optimum
-        if known is None or known[0] is not grasp or not np.array_equal(known[1], load):
+        last = self._last_optimum
+        if last is None or last[0] is not grasp or not np.array_equal(last[1], load):
             solution = self._of(grasp)["optimum"].solve(load).raise_for_status()
-            known = self._cached_optimum = grasp, load, solution.force, solution.objective
-        return known[2:]
+            last = self._last_optimum = grasp, load, solution.force, solution.objective
+        return last[2:]
 
     def run(
         self, method: str, grasp: Grasp, load: Array, start: ContactForces, least_phi: float

@@ -165,9 +165,9 @@ def rates_figure(rows: Rows, means: Rows) -> Figure | None:
     panel.grid(visible=False)
     rates = table.to_numpy(np.float64)
     panel.imshow(rates, cmap="RdYlGn", vmin=0.0, vmax=1.0, aspect="auto", alpha=0.75)
-    for (place, other), rate in np.ndenumerate(rates):
+    for (row, column), rate in np.ndenumerate(rates):
         if np.isfinite(rate):
-            panel.text(other, place, f"{100 * rate:.0f}", ha="center", va="center", fontsize=8)
+            panel.text(column, row, f"{100 * rate:.0f}", ha="center", va="center", fontsize=8)
     names = [", ".join(name) if isinstance(name, tuple) else name for name in table.index]
     panel.set_xticks(
         range(len(table.columns)), list(table.columns), rotation=40, ha="right", fontsize=8
@@ -186,7 +186,9 @@ def curves_figure(rows: Rows, means: Rows) -> Figure | None:
         return None
     figure, panel = axes(3.0)
     for case, style in zip(CURVES, ("-", "--"), strict=True):
-        for key, tint in zip(("paper", *BASELINES), ("#2f7fd8", "#e0463e", "#8a8a8b"), strict=True):
+        for key, colour in zip(
+            ("paper", *BASELINES), ("#2f7fd8", "#e0463e", "#8a8a8b"), strict=True
+        ):
             curve = means[(means["case"] == case) & (means["controller"] == key)].sort_values(
                 "normal_force_mean"
             )
@@ -196,7 +198,7 @@ def curves_figure(rows: Rows, means: Rows) -> Figure | None:
                 style,
                 marker="o",
                 markersize=3,
-                color=tint,
+                color=colour,
                 label=f"{CONTROLLER_LABELS[key]}, {case}",
             )
     panel.set(xlabel="sum of the normal forces, mean [N]", ylabel="share held", ylim=(0, 1.02))

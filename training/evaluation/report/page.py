@@ -29,7 +29,7 @@ KINDS = {
     "rl": "rl",
     "reproduce": "reproduce",
 }
-"""Module that describes the page of a kind of run; other kinds show their summary."""
+"""Page module of a kind of run; other kinds show their summary."""
 WIDTH = 4.6
 """Width of a figure [in]; its text is 10 pixels high on a phone 360 pixels wide."""
 INK, LINE = "#101010", "#d5d8dd"
@@ -102,7 +102,7 @@ def write(run: Run) -> tuple[Path, list[Verdict]]:
 
 
 def module_of(about: dict[str, Any]) -> ModuleType | None:
-    """Return the module that describes the page of this kind of run."""
+    """Return the page module for this run's kind."""
     name = KINDS.get(about.get("kind", ""))
     return import_module(f"training.evaluation.report.{name}_page") if name else None
 

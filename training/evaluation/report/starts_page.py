@@ -208,10 +208,10 @@ def bars(column: str, label: str) -> Any:
         if not keys or f"{column}_median" not in means.columns:
             return None
         figure, panel = axes(0.62 + 0.5 * len(keys))
-        tint = colours(keys)
+        colour_of = colours(keys)
         ends = [1.0]
-        for place, key in enumerate(keys):
-            for method, name, off, marker, width in (
+        for row_number, key in enumerate(keys):
+            for method, name, offset, marker, width in (
                 ("reduced_flow", "flow", -0.2, "o", 2.6),
                 ("newton", "Newton", 0.2, "D", 1.1),
             ):
@@ -222,8 +222,8 @@ def bars(column: str, label: str) -> Any:
                 low = float(row[f"{column}_median"])
                 high = float(row[f"{column}_p99"])
                 ends.append(high)
-                y = place + off
-                colour = tint[key]
+                y = row_number + offset
+                colour = colour_of[key]
                 panel.plot([low, high], [y, y], color=colour, linewidth=width)
                 panel.plot([high], [y], marker="|", markersize=7, color=colour)
                 panel.plot([low], [y], marker=marker, markersize=5, color=colour)
@@ -288,13 +288,13 @@ def profile(query: str, column: str, across: str, by: str = "start") -> Any:
         ratio = grid.div(grid.min(axis=1), axis=0).to_numpy()
         figure, panel = axes(3.1)
         factor = np.geomspace(1.0, 100.0, 120)
-        tint = colours(keys)
+        colour_of = colours(keys)
         for name, ratios in zip(grid.columns, ratio.T, strict=True):
             key, _, method = str(name).partition(" · ")
             share = [(ratios <= tau * (1 + 1e-12)).mean() for tau in factor]
             style = "--" if start_info(key).dashed else ":" if method == "newton" else "-"
             label = start_info(key).short + (" · Newton" if method == "newton" else "")
-            panel.plot(factor, share, style, color=tint[key], label=label)
+            panel.plot(factor, share, style, color=colour_of[key], label=label)
         _style_shares(panel, across, 100)
         panel.set_xlim(1, 100)
         panel.legend(fontsize=7.5, frameon=False, loc="lower right", ncols=2 if by == "both" else 1)

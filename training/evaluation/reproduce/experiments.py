@@ -1,7 +1,7 @@
 """Study of what the paper leaves open: weights, step rules, rates, forms, W_ext(t), Table I.
 
-The paper prints neither omega, lambda nor alpha_k and names their influence as future work. `run`
-computes one table of rows; `training.evaluation.report.reproduce_page` shows it.
+The paper prints neither omega, lambda nor alpha_k and names their influence as future work.
+`training.evaluation.report.reproduce_page` shows the rows.
 """
 
 from __future__ import annotations
@@ -46,9 +46,8 @@ WEIGHTS = (
 )
 """Pairs (omega, lambda [N^2]) to compare.
 
-Scaling Phi by omega changes neither its optimum nor, with steps in units of 1 / omega, the
-iterates: only lambda / omega matters. Rows with omega != 1 show the one remaining effect, the first
-trial step.
+Only lambda / omega matters to the optimum and, with steps in units of 1 / omega, to the iterates.
+Rows with omega != 1 show the one remaining effect, the first trial step.
 """
 FIXED_SIZES = tuple(float(size) for size in 10.0 ** np.arange(0.5, -4.6, -0.125))
 """Constant steps to try [N / omega], longest first."""
@@ -264,10 +263,10 @@ def spectrum(cases: Cases) -> tuple[float, float]:
 def rates(grasp: Grasp, load: Array) -> Rows:
     """Yield gaps on one wrench, fitted and predicted rates, and differences between the forms.
 
-    A fitted rate is the factor per iteration of the gap between 1e-3 and 1e-9. Predicted, kappa = L
-    / m the condition number of the projected Hessian at the optimum: (1 - alpha m)^2 for a constant
-    step alpha < 2 / (L + m), at worst ((kappa - 1) / (kappa + 1))^2 for the exact line search. The
-    other rules have no such formula.
+    A rate is the factor per iteration of the gap, fitted between 1e-3 and 1e-9. With the projected
+    Hessian's eigenvalues between m and L, kappa = L / m, the prediction is (1 - alpha m)^2 for a
+    constant step alpha < 2 / (L + m), and at worst ((kappa - 1) / (kappa + 1))^2 for the exact line
+    search; other rules have none.
     """
     cases = Cases(grasp, load[None])
     least, largest = spectrum(cases)
@@ -305,8 +304,8 @@ def _fitted(gaps: Array) -> float | None:
 def costs(grasps: tuple[Grasp, ...], repeats: int) -> Rows:
     """Yield multiplications and nanoseconds per product step and per iteration of every form.
 
-    The forms take turns, `repeats` times. The rest of an iteration is Phi, its gradient and the
-    step rule. The matrices are in the cache, as in a control loop that does nothing else.
+    The forms take turns, `repeats` times, with their matrices in the cache. The rest of an
+    iteration is Phi, its gradient and the step rule.
     """
     load = np.array([0.3, -0.2, 0.5, 0.01, -0.005, 0.008])
     for grasp in grasps:
@@ -355,10 +354,9 @@ def _time_repetition(call: Callable[[int], object], count: int) -> float:
 def path(name: str, grasp: Grasp, fine: float) -> Rows:
     """Yield forces along W_ext(t), 2 s, of the linear program, of Phi and of the exact cones.
 
-    "jump" is the change of a finger's force since the sample before. With samples ten times closer
-    it becomes ten times smaller if the forces are continuous, and stays the same at a jump. "kink",
-    the change of the rate, tells smooth forces from kinks likewise. `fine` is the time between
-    samples [s]; the coarse samples are ten times as far apart.
+    "jump" is the change of a finger's force since the sample before, and "kink" the change of its
+    rate. With samples ten times closer, both become ten times smaller if the forces are smooth.
+    `fine` is the time between samples [s]; the coarse samples are ten times as far apart.
     """
     times = np.arange(0.0, 2.0, fine)
     loads = wrench.paper_path(times)
@@ -393,12 +391,7 @@ def path(name: str, grasp: Grasp, fine: float) -> Rows:
 
 
 def table_one(grasp: Grasp, load: Array) -> Rows:
-    """Yield normal forces and flow steps on the paper's constant wrench, beside the printed ones.
-
-    This is no acceptance test: the paper does not print contact positions, weights, step size and
-    two of the three starts. The balance of 0.6 N, the order of the starts, and ratios can be
-    compared.
-    """
+    """Yield normal forces and flow steps on the paper's constant wrench, and the printed."""
     phi = Objective(1.0, LAMBDA)
     newton = ForceOptimizer(grasp, method="newton", barrier_weight=LAMBDA, tolerance=1e-10)
     optimum = newton.solve(load)

@@ -1,8 +1,7 @@
 """Linear program of grasp forces with friction pyramids inside the cones, by HiGHS.
 
-`grasp reproduce` compares with it. Its forces lie on edges of the pyramids: along a path of the
-wrench they have kinks, and they may jump where several forces cost the same. Kerr, Roth 1986 and
-Cheng, Orin 1990 used it for hands.
+Kerr, Roth 1986 and Cheng, Orin 1990 used it for hands. Its forces lie on edges of the pyramids:
+along a path of the wrench they have kinks, and they may jump where several forces cost the same.
 """
 
 from __future__ import annotations

@@ -129,8 +129,9 @@ def judge(claims: Iterable[Claim], rows: pd.DataFrame) -> list[Verdict]:
 
     Example:
         >>> rows = pd.DataFrame({"case": ["ball", "ball"], "start": ["paper", "network"], "iterations_median": [45.0, 4.0]})
-        >>> few = Claim("few steps", "start == 'network'", "iterations_median", "<=", 8)
-        >>> share = Claim("a tenth of the paper's", "start == 'network'", "iterations_median", "<=", 0.05, "start == 'paper'")
+        >>> network = "start == 'network'"
+        >>> few = Claim.of("few steps", network, "iterations_median <= 8")
+        >>> share = Claim.of("a tenth of the paper's", network, "iterations_median <= 0.05", "start == 'paper'")
         >>> [(row.claim.name, row.target, row.result, row.met) for row in judge([few, share], rows)]
         [("a tenth of the paper's", '<= 0.05', '0.08889', False), ('few steps', '<= 8', '4', True)]
     """

@@ -1,7 +1,6 @@
 """Columns of all tables of results, with unit, meaning and statistics.
 
-To add a metric, add an entry of `COLUMNS`, and a value under its name in the rows that a comparison
-returns.
+To add a metric, add an entry of `COLUMNS`, and its value to the rows of a comparison.
 """
 
 from __future__ import annotations
@@ -18,8 +17,7 @@ class Column:
     """Column of a table of results.
 
     Attributes:
-        kind: text, whole (integers), real (floats) or flag (true or false). Values of every kind
-            may be missing.
+        kind: text, whole (integers), real (floats) or flag; any value may be missing.
         text: meaning, in one line.
         unit: unit; "" for counts, ratios and text.
         key: True if rows with different values are summarised separately.

@@ -1,7 +1,6 @@
 """Map of a function over shards: inline, in processes, or on a Ray cluster.
 
-The rows and their order do not depend on where the shards run. Times are never measured inside the
-map.
+Rows and their order do not depend on where the shards run. Times are never measured in the map.
 """
 
 from __future__ import annotations

@@ -57,10 +57,7 @@ STATISTICS: dict[str, tuple[str, Callable[[NDArray[np.float64]], float]]] = {
         for k, (end, side) in enumerate((("low", "lower"), ("high", "upper")))
     },
 }
-"""Statistics of finite values (n,), n > 0.
-
-The number of rows without a value, "missing", is computed by `summary`.
-"""
+"""Statistics of finite values (n,), n > 0; `summary` adds "missing", the rows without a value."""
 
 
 def table(rows: Iterable[Mapping[str, Any]] | pd.DataFrame) -> pd.DataFrame:
@@ -98,8 +95,8 @@ def join(tables: Iterable[pd.DataFrame]) -> pd.DataFrame:
 def write(path: Path, rows: pd.DataFrame, number: str | None = None) -> None:
     """Write a CSV file, compressed if its name ends in .xz; equal tables give equal bytes.
 
-    Missing values are empty, and so are empty texts. `number` is the format of real numbers; None:
-    their digits restore the same number.
+    Missing values and empty texts are empty. `number` is the format of real numbers; None: digits
+    that restore the same number.
     """
     with replacing(path) as temporary:
         rows.to_csv(temporary, index=False, float_format=number)

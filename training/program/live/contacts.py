@@ -65,17 +65,17 @@ class BareContacts(Window):
         super().__init__(port, HINT)
         self._add_controls(wrench, method)
         self._add_load()
-        self._stand(self._mesh, grasp.positions, grasp.normals)
+        self._replace_body(self._mesh, grasp.positions, grasp.normals)
 
     def draw(self) -> None:
         """Solve for the current controls and contacts, and draw the answer."""
         shape = self.shape.value
         count = int(self.count.value)
-        if (shape, count) != self._standing:
+        if (shape, count) != self._drawn_body:
             mesh = self._mesh
             if shape != self._name:
                 mesh = look.object_mesh(shape, (self._extent,) * 3)
-            self._stand(mesh, *place_contacts(mesh, count))
+            self._replace_body(mesh, *place_contacts(mesh, count))
         wrench = np.array([*self.force.value, *self.moment.value])
         friction = float(self.friction.value)
         limit = math.inf if self.limit.value >= NO_LIMIT else float(self.limit.value)
@@ -108,8 +108,8 @@ class BareContacts(Window):
         if twist is not None:
             self._screw.points = look.screw(twist, self.positions.mean(axis=0), self._extent)
 
-    def _stand(self, mesh: trimesh.Trimesh, positions: Array, normals: Array) -> None:
-        self._standing = self.shape.value, int(self.count.value)
+    def _replace_body(self, mesh: trimesh.Trimesh, positions: Array, normals: Array) -> None:
+        self._drawn_body = self.shape.value, int(self.count.value)
         self.mesh = mesh
         self.positions = positions
         self.normals = normals
@@ -121,7 +121,7 @@ class BareContacts(Window):
     def _reset(self, _: Any) -> None:
         for control, value in self._first:
             control.value = value
-        self._stand(self._mesh, self._grasp.positions, self._grasp.normals)
+        self._replace_body(self._mesh, self._grasp.positions, self._grasp.normals)
 
     def _drag_load(self, control: Any, scale: Array, event: Any) -> None:
         """Move the ball at an arrow's head with the mouse, in the plane of the screen."""
@@ -147,9 +147,8 @@ class BareContacts(Window):
         with gui.add_folder("Contacts"):
             self.shape = gui.add_dropdown("object", [*dict.fromkeys((self._name, *SHAPES))])
             self.count = gui.add_slider("number", 3, 8, 1, min(self._grasp.n_contacts, 8))
-            self.friction = gui.add_slider(
-                "friction", min(0.02, friction), max(1.5, friction), 0.01, friction
-            )
+            ends = min(0.02, friction), max(1.5, friction)
+            self.friction = gui.add_slider("friction", *ends, 0.01, friction)
             self.limit = gui.add_slider(
                 "max normal force, N", 0.5, NO_LIMIT, 0.5, NO_LIMIT, hint="50: no limit"
             )
@@ -175,9 +174,8 @@ class BareContacts(Window):
         self._balls = [
             self.scene.add_icosphere(f"/load/{k}", 0.052, color) for k, color in enumerate(colors)
         ]
-        for ball, control, scale in zip(
-            self._balls, (self.force, self.moment), self._load_scales, strict=True
-        ):
+        controls = (self.force, self.moment)
+        for ball, control, scale in zip(self._balls, controls, self._load_scales, strict=True):
             self.on(ball.on_drag, partial(self._drag_load, control, scale))
         self._screw: Any = self.scene.add_arrows("/screw", np.zeros((6, 2, 3)), look.BAD)
 

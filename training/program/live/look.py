@@ -79,11 +79,13 @@ class Contacts:
             "/contacts/forces", np.zeros((count, 2, 3)), np.array(self._colors)
         )
 
-    def draw(self, places: Array, frames: Array, forces: Array, friction: Array, bad: bool) -> None:
+    def draw(
+        self, positions: Array, frames: Array, forces: Array, friction: Array, bad: bool
+    ) -> None:
         """Draw the contacts, in red if `bad`.
 
         Args:
-            places: (N, 3) positions, scene units.
+            positions: (N, 3), scene units.
             frames: (N, 3, 3) contact frames; the columns are the inward normal, o and t.
             forces: (N, 3) forces on the object [N].
             friction: (N,) coefficients; 0: no cone.
@@ -95,10 +97,10 @@ class Contacts:
             rim = circle * [1.0, friction[k], friction[k]] @ frames[k].T
             cone.vertices = _CONE_HEIGHT * np.vstack([np.zeros(3), rim])
             cone.visible = bool(friction[k] > 0.0)
-            point.position = places[k]
+            point.position = positions[k]
             point.color = BAD if bad else self._colors[k]
             cone.color = point.color
-        self._forces.points = np.stack([places - self._force_scale * forces, places], axis=1)
+        self._forces.points = np.stack([positions - self._force_scale * forces, positions], axis=1)
         self._forces.visible = bool(forces.any())
 
 
@@ -165,7 +167,7 @@ def _mesh(shape: Geometry, looks: Mapping[str, tuple[Array, Any]]) -> trimesh.Tr
     if shape.kind != "mesh":
         return trimesh.convex.convex_hull(outline(shape))
     corners, faces = looks[shape.file]
-    place = Frame.of(shape.origin, shape.rotation)
+    frame = Frame.of(shape.origin, shape.rotation)
     return trimesh.Trimesh(
-        corners * np.array(shape.size) @ place.rotation.T + place.origin, faces, process=False
+        corners * np.array(shape.size) @ frame.rotation.T + frame.origin, faces, process=False
     )

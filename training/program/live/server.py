@@ -61,9 +61,8 @@ class LocalServer(viser.ViserServer):
 def is_own_page(headers: Headers) -> bool:
     """Return True if a request comes from the page of this server, or opens it.
 
-    A page of another site in the same browser sends its own Origin, and browsers send an Origin
-    with every websocket. If the name of that site resolves to 127.0.0.1 (DNS rebinding), Host is
-    that name.
+    Browsers send an Origin with every websocket; a page of another site sends its own. If the name
+    of that site resolves to 127.0.0.1 (DNS rebinding), Host is that name.
     """
     host = ",".join(headers.get_all("Host"))
     origins = headers.get_all("Origin")
