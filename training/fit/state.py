@@ -87,12 +87,11 @@ class StateFile:
         now: FitProgress,
     ) -> None:
         """Write everything under a temporary name, then rename it."""
-        tensors = {
-            f"weight.{name}": value.detach().numpy() for name, value in module.state_dict().items()
-        }
+        weights = module.state_dict()
+        values = {f"weight.{name}": value.detach() for name, value in weights.items()}
         for index, moments in optimiser.state_dict()["state"].items():
-            tensors |= {f"moment.{index}.{name}": value.numpy() for name, value in moments.items()}
-        tensors = {name: np.ascontiguousarray(value) for name, value in tensors.items()}
+            values |= {f"moment.{index}.{name}": value for name, value in moments.items()}
+        tensors = {name: np.ascontiguousarray(value.numpy()) for name, value in values.items()}
         meta = {
             "schema": SCHEMA,
             "settings": self._settings,
@@ -118,22 +117,22 @@ class StateFile:
         """
         tensors, meta = self._read()
         try:
-            module.load_state_dict(
-                {k[7:]: torch.from_numpy(v) for k, v in tensors.items() if k.startswith("weight.")}
-            )
+            weights: dict[str, torch.Tensor] = {}
             moments: dict[int, dict[str, torch.Tensor]] = {}
             for key, value in tensors.items():
-                if key.startswith("moment."):
-                    _, index, name = key.split(".")
+                kind, _, name = key.partition(".")
+                if kind == "weight":
+                    weights[name] = torch.from_numpy(value)
+                elif kind == "moment":
+                    index, name = name.split(".")
                     moments.setdefault(int(index), {})[name] = torch.from_numpy(value).clone()
-            optimiser.load_state_dict(
-                {"state": moments, "param_groups": optimiser.state_dict()["param_groups"]}
-            )
+            module.load_state_dict(weights)
+            groups = optimiser.state_dict()["param_groups"]
+            optimiser.load_state_dict({"state": moments, "param_groups": groups})
             rng.bit_generator.state = meta["rng"]
             curve = [[float(value) for value in row] for row in meta["curve"]]
-            return FitProgress(
-                int(meta["step"]), float(meta["seconds"]), float(meta["cpu_seconds"]), curve
-            )
+            seconds = float(meta["seconds"])
+            return FitProgress(int(meta["step"]), seconds, float(meta["cpu_seconds"]), curve)
         except (KeyError, TypeError, ValueError, RuntimeError) as error:
             raise self._damaged(error) from None
 
@@ -161,13 +160,12 @@ class StateFile:
             if isinstance(error, ModelFileError):
                 raise
             raise self._damaged(error) from None
-        names = sorted({*settings, *self._settings})
-        other = [name for name in names if settings.get(name) != self._settings.get(name)]
-        if other:
-            changes = "; ".join(
-                f"{name} was {settings.get(name)!r}, is {self._settings.get(name)!r}"
-                for name in other
-            )
+        changes = "; ".join(
+            f"{name} was {settings.get(name)!r}, is {self._settings.get(name)!r}"
+            for name in sorted({*settings, *self._settings})
+            if settings.get(name) != self._settings.get(name)
+        )
+        if changes:
             raise InvalidInputError(
                 f"{self.path} was begun with other settings ({changes}): give the same settings with --resume"
             )

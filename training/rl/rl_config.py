@@ -76,11 +76,8 @@ class RLConfig:
             number(getattr(self, name), name)
         if len(set(self.seeds)) != len(self.seeds):
             raise InvalidInputError(f"seeds must be different integers >= 0, got {self.seeds}")
-        if (
-            not 0.0 <= self.learning_rate < 1.0
-            or not self.gamma < 1.0
-            or not 0.0 <= self.deviation <= 1.0
-        ):
+        in_range = 0.0 <= self.learning_rate < 1.0 and 0.0 <= self.deviation <= 1.0
+        if not in_range or not self.gamma < 1.0:
             raise InvalidInputError(
                 "learning_rate must be in [0, 1), gamma below 1, deviation in [0, 1], "
                 f"got {self.learning_rate}, {self.gamma}, {self.deviation}"
@@ -98,10 +95,9 @@ class RLConfig:
         )
         if not self.quick:
             return full
-        steps = {"ppo": 8_192, "sac": 3_000}[self.algorithm]
         return replace(
             full,
-            steps=min(full.steps, steps),
+            steps=min(full.steps, {"ppo": 8_192, "sac": 3_000}[self.algorithm]),
             seeds=full.seeds[:1],
             episodes=min(full.episodes, 4),
             curve_points=3,

@@ -105,9 +105,8 @@ def held_cell(row: dict[str, Any]) -> str:
         '3 of 4 at 12.1 N'
     """
     force = row.get("normal_force_mean", np.nan)
-    return f"{row['held_sum']:.0f} of {row['n']}" + (
-        "" if not np.isfinite(force) else f" at {number(force)} N"
-    )
+    held = f"{row['held_sum']:.0f} of {row['n']}"
+    return f"{held} at {number(force)} N" if np.isfinite(force) else held
 
 
 def names_of(row: dict[str, Any]) -> str:
@@ -169,14 +168,10 @@ def rates_figure(rows: Rows, means: Rows) -> Figure | None:
         if np.isfinite(rate):
             panel.text(column, row, f"{100 * rate:.0f}", ha="center", va="center", fontsize=8)
     names = [", ".join(name) if isinstance(name, tuple) else name for name in table.index]
-    panel.set_xticks(
-        range(len(table.columns)), list(table.columns), rotation=40, ha="right", fontsize=8
-    )
-    panel.set_yticks(
-        range(len(names)),
-        [name.removeprefix("hold_").replace("_", " ") for name in names],
-        fontsize=8,
-    )
+    names = [name.removeprefix("hold_").replace("_", " ") for name in names]
+    columns = list(table.columns)
+    panel.set_xticks(range(len(columns)), columns, rotation=40, ha="right", fontsize=8)
+    panel.set_yticks(range(len(names)), names, fontsize=8)
     return figure
 
 
@@ -192,15 +187,10 @@ def curves_figure(rows: Rows, means: Rows) -> Figure | None:
             curve = means[(means["case"] == case) & (means["controller"] == key)].sort_values(
                 "normal_force_mean"
             )
-            panel.plot(
-                numbers(curve, "normal_force_mean"),
-                numbers(curve, "held_mean"),
-                style,
-                marker="o",
-                markersize=3,
-                color=colour,
-                label=f"{CONTROLLER_LABELS[key]}, {case}",
-            )
+            look = {"marker": "o", "markersize": 3, "color": colour}
+            label = f"{CONTROLLER_LABELS[key]}, {case}"
+            force = numbers(curve, "normal_force_mean")
+            panel.plot(force, numbers(curve, "held_mean"), style, label=label, **look)
     panel.set(xlabel="sum of the normal forces, mean [N]", ylabel="share held", ylim=(0, 1.02))
     panel.legend(fontsize=7.5, frameon=False)
     return figure
@@ -222,24 +212,22 @@ FIGURES = (
 
 def rates(rows: Rows, means: Rows) -> Rows:
     """Make a table of rates with intervals, drift and squeeze; the lowest rate first."""
+    further = {
+        "drift, mean [mm]": "drift_mean",
+        "largest [mm]": "drift_max",
+        "iterations": "iterations_median",
+        "force error [N]": "force_error_mean",
+        "least torque margin [N m]": "torque_margin_min",
+        "redrawn": "redrawn_sum",
+    }
+    further = {name: column for name, column in further.items() if column in means.columns}
     table = [
         {
             "scenario": LABELS.get(row["case"], row["case"]),
             "with": names_of(row),
             "held": held_cell(row),
             "interval, %": f"{100 * row['held_rate_low']:.1f} to {100 * row['held_rate_high']:.1f}",
-            **{
-                name: row.get(column)
-                for name, column in (
-                    ("drift, mean [mm]", "drift_mean"),
-                    ("largest [mm]", "drift_max"),
-                    ("iterations", "iterations_median"),
-                    ("force error [N]", "force_error_mean"),
-                    ("least torque margin [N m]", "torque_margin_min"),
-                    ("redrawn", "redrawn_sum"),
-                )
-                if column in means.columns
-            },
+            **{name: row[column] for name, column in further.items()},
         }
         for row in means.sort_values("held_mean", kind="stable").to_dict("records")
     ]

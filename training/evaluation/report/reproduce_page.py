@@ -77,14 +77,8 @@ def weights_figure(rows: pd.DataFrame, summary: pd.DataFrame) -> Figure:
     figure, panel = axes(3.6)
     for (rule, label), colour in zip(RULES.items(), COLOURS, strict=True):
         mine = _some(summary, f"case == 'weights' and force_weight == 1 and rule == '{rule}'")
-        panel.loglog(
-            mine["barrier_weight"],
-            mine["iterations_median"],
-            "o-",
-            color=colour,
-            markersize=3,
-            label=label,
-        )
+        look = {"color": colour, "markersize": 3, "label": label}
+        panel.loglog(mine["barrier_weight"], mine["iterations_median"], "o-", **look)
     panel.set(xlabel="lambda [N^2], omega = 1", ylabel="iterations, median")
     decades(panel.xaxis, -3, 0)
     decades(panel.yaxis, 0, 3)
@@ -139,19 +133,11 @@ def paths_figure(rows: pd.DataFrame, summary: pd.DataFrame) -> Figure:
             mine = coarse[(coarse["case"] == case) & (coarse["contact"] == contact)]
             for method, (label, style, colour, width) in METHODS.items():
                 line = mine[mine["method"] == method]
-                panel.plot(
-                    line["time"],
-                    line["contact_force"],
-                    style,
-                    color=colour,
-                    linewidth=width,
-                    label=label,
-                )
+                look = {"color": colour, "linewidth": width, "label": label}
+                panel.plot(line["time"], line["contact_force"], style, **look)
             panel.set_visible(not mine.empty)
-            panel.set_title(
-                f"{case[5:].replace('_', ' ')}, {f'finger {contact}' if contact else 'thumb'}",
-                fontsize=8,
-            )
+            finger = f"finger {contact}" if contact else "thumb"
+            panel.set_title(f"{case[5:].replace('_', ' ')}, {finger}", fontsize=8)
             panel.tick_params(labelsize=8)
     figure.supxlabel("time [s]", fontsize=9)
     figure.supylabel("normal force [N]", fontsize=9)
