@@ -26,8 +26,7 @@ class OfflineBasis:
     closure. Its forces are balanced for that grasp only; if contacts move, use `moved_to`.
 
     Attributes:
-        cone_divisor: (N, 3) `grasp.models.cone_divisor`. The grasp itself is not stored, so a
-            cached basis does not keep it alive.
+        cone_divisor: (N, 3) `grasp.models.cone_divisor`; the grasp itself would be kept alive.
         objective: the Phi of the optima.
         cone_forces: (13, 3N) the optima in cone coordinates: 12 unit wrenches, then zero wrench.
 
@@ -89,8 +88,7 @@ class OfflineBasis:
     def moved_to(self, grasp: Grasp) -> OfflineBasis:
         """Return the basis of a nearby grasp, whose optima start from the tangent correction.
 
-        A cached basis of `grasp` is returned unchanged, so a return to that grasp gives bitwise the
-        same basis.
+        A cached basis of `grasp` is returned unchanged.
         """
         return self._cached(grasp, self.objective, self)
 
@@ -114,9 +112,8 @@ class OfflineBasis:
     def combine(self, wrench: Wrench, printed: bool = False) -> ContactForces:
         """Return the non-negative combination sum E_k f_k (N, 3) [N] with w = sum E_k (+-e_k).
 
-        These are Eqs. 33 and 34. The printed combination is zero for a zero `wrench`, where P is
-        singular. Unless `printed`, max(0, 1 - sum E_k) times `rest` is added. The result is
-        balanced by linearity and strictly inside the cones by convexity.
+        These are Eqs. 33 and 34; see `LinearCombination` for `printed`. The result is balanced by
+        linearity and strictly inside the cones by convexity.
         """
         x = np.empty(self.cone_forces.shape[1])
         core.combine(self.cone_forces, as_wrench(wrench), flag(printed, "printed"), x)
@@ -144,10 +141,7 @@ def core_contacts(grasp: Grasp, objective: Objective) -> core.Contacts:
 def starter(
     grasp: Grasp, objective: Objective, model: core.Model | None = None
 ) -> core.ForceOptimizer:
-    """Return a compiled optimizer that starts from the combination of the grasp's 12-basis.
-
-    It is the fallback of repairs and predictions.
-    """
+    """Return a compiled optimizer with the grasp's 12-basis, the fallback of repairs and models."""
     basis = OfflineBasis.of(grasp, objective)
     optimizer = _compiled(grasp, objective, start=COMBINATION, model=model)
     optimizer.set_basis(basis.cone_forces)
@@ -157,10 +151,7 @@ def starter(
 def start_of(
     optimizer: core.ForceOptimizer, start: int, wrench: Wrench, force: ContactForces | None
 ) -> ContactForces | None:
-    """Return the start (N, 3) [N] of a `starter` by its index in `STARTS`, or None.
-
-    Some starts take a force (N, 3) [N].
-    """
+    """Return the start (N, 3) [N] of a `starter` by its index in `STARTS`, or None."""
     solution: Any = optimizer.start(wrench, None, core.Request(start=start, force=force))
     return solution.initial_force.copy() if solution.code == STARTED else None
 

@@ -29,13 +29,13 @@ def optimize_forces(
 
     Newton and `conic` on hard contacts solve several problems at once in the vector registers.
     Everything else runs problem by problem in the core, unless the start rule is a Python function.
-    Each problem has the status of a single call, and an objective that agrees within the tolerance.
-    In the registers sums are taken in another order, so a solve may end a step earlier or later;
-    its force then differs by as much as the tolerance leaves open. No result depends on `workers`.
+    Each problem has the status of a single call, and an objective that agrees within the tolerance:
+    in the registers sums are taken in another order, so a solve may end a step earlier or later. No
+    result depends on `workers`.
 
     Args:
         grasps: one grasp for all wrenches, or M grasps with equal numbers of contacts.
-        wrenches: (M, 6) external wrenches on the object [N, N m], in the frame of the positions.
+        wrenches: (M, 6) external wrenches [N, N m], as in `optimize_force`.
         workers: number of threads, 1 to 1024; None: one per processor core. The core releases the
             GIL.
         options: the keywords of `ForceOptimizer`, with its defaults; a batch has no previous
@@ -78,12 +78,11 @@ def _checked_grasps(grasps: list[Any], loads: Array) -> list[Grasp]:
         )
     if not grasps:
         raise InvalidInputError("at least one grasp is needed to know the number of contacts")
-    if set(map(type, grasps)) != {Grasp}:
-        for k, grasp in enumerate(grasps):
-            if not isinstance(grasp, Grasp):
-                raise InvalidInputError(
-                    f"grasps must be Grasp objects, entry {k} is {type(grasp).__name__}"
-                )
+    for k, grasp in enumerate(grasps):
+        if not isinstance(grasp, Grasp):
+            raise InvalidInputError(
+                f"grasps must be Grasp objects, entry {k} is {type(grasp).__name__}"
+            )
     sizes = {grasp.contacts.count for grasp in grasps}
     if len(sizes) > 1:
         raise InvalidInputError(
@@ -102,9 +101,9 @@ def _many_grasps(
     if solve is not None:
         keys = np.fromiter(map(id, grasps), np.int64, len(grasps))
         order = np.argsort(keys, kind="stable")  # the problems of each grasp follow each other
-        news = np.flatnonzero(np.diff(keys[order], prepend=0))
-        begins = np.append(news, len(grasps))
-        distinct = [grasps[k].contacts for k in order[news].tolist()]
+        firsts = np.flatnonzero(np.diff(keys[order], prepend=0))
+        begins = np.append(firsts, len(grasps))
+        distinct = [grasps[k].contacts for k in order[firsts].tolist()]
 
         def work(part: slice) -> None:
             chosen = order[begins[part.start] : begins[part.stop]]
@@ -123,11 +122,7 @@ def _many_grasps(
 def _compiled_grasps(
     optimizer: ForceOptimizer, initial: Any
 ) -> Callable[[list[core.Contacts], Array, Array, Array], None] | None:
-    """Return the core's solver for many grasps, or None if it does not support the options.
-
-    Its arguments are the contacts, the index at which the problems of each begin, their wrenches
-    and their records.
-    """
+    """Return the core's solver for many grasps, or None if it does not support the options."""
     options = optimizer.options
     count = optimizer.grasp.n_contacts
     first = initial is None or (isinstance(initial, str) and initial == "internal_force")

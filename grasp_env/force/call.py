@@ -35,10 +35,7 @@ def checked_call(
     torque_bias: Any = None,
     contacts: Any = None,
 ) -> Call:
-    """Check the arguments of `ForceOptimizer.solve`.
-
-    Limits have a Jacobian of shape (N, *motions).
-    """
+    """Check the arguments of `ForceOptimizer.solve`; limits have a Jacobian (N, *motions)."""
     n = grasp.n_contacts
     joints = motions[1]
 
@@ -75,7 +72,7 @@ def _mask(contacts: Any, count: int) -> Any:
     """Return (N,) bool of the contacts that touch, from true and false or from 1 and 0."""
     try:
         flags = np.asarray(contacts)
-    except Exception:  # numpy's own: rows of different lengths, arrays that refuse
+    except Exception:  # of numpy
         flags = np.asarray(None)
     if np.ma.is_masked(contacts):
         raise InvalidInputError(

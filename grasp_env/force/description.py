@@ -26,9 +26,7 @@ METRIC = np.array([3.0, 2.0, 2.0])
 
 
 def description_matrix(force: ContactForces, friction: Array) -> Array:
-    """Return P, the (3N, 3N) block-diagonal description matrix of `force` (N, 3) [N].
-
-    See Eqs. 4 and 5. `friction` is a number or (N,).
+    """Return P (3N, 3N), Eqs. 4 and 5, of `force` (N, 3) [N] and `friction`, a number or (N,).
 
     Example:
         >>> description_matrix(np.array([[10.0, 1.0, 2.0]]), np.array([0.4]))

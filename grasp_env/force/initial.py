@@ -33,16 +33,14 @@ the imbalance."""
 
 
 class InitialForceRule(Protocol):
-    """An initial-force rule: rule(grasp, wrench) -> force (N, 3) [N].
+    """An initial-force rule: any function (grasp, wrench) -> force (N, 3) [N].
 
-    The force is balanced and strictly inside the cones.
-
-    Any function with this signature will do. It receives the `Grasp` and the external wrench (6,)
-    [N, N m], and raises `InfeasibleStartError` if it finds no such force.
+    It receives the external wrench (6,) [N, N m]. The force is balanced and strictly inside the
+    cones; a rule that finds none raises `InfeasibleStartError`.
     """
 
     def __call__(self, grasp: Grasp, wrench: Wrench, /) -> ContactForces:
-        """Return the force (N, 3) [N] or raise `InfeasibleStartError`."""
+        """See the class."""
         ...
 
 
@@ -74,7 +72,7 @@ class StartRequest:
         start: index into `STARTS`.
         name: name of the force in the solution; None: the name in `STARTS`.
         replaced: True if the paper's combination replaced a rule's force.
-        force: (N, 3) given force [N].
+        force: (N, 3) [N], for the start "given".
         before: the solution to carry over in place of the last one.
     """
 
@@ -85,13 +83,13 @@ class StartRequest:
     before: ForceSolution | None = None
 
     def request(self, optimum: float = float("nan"), trace: Array | None = None) -> core.Request:
-        """Return the request of the core; see `ForceOptimizer.solve` for `optimum` and `trace`."""
+        """Return the core's request, with `optimum` and `trace` of `ForceOptimizer.solve`."""
         return core.Request(
             start=self.start, force=self.force, previous=self.before, optimum=optimum, trace=trace
         )
 
     def mark(self, record: Array) -> None:
-        """Note in the record of a solution if the paper's combination replaced a rule's force."""
+        """Note `replaced` in the record of a solution."""
         if self.replaced:
             record[START], record[REPLACED] = COMBINATION, 1.0
 
@@ -104,12 +102,12 @@ def rule_name(rule: Any) -> str:
     """Return the name of a rule for solutions: its `name`, its `__name__`, or that of its class."""
     if isinstance(rule, str):
         return rule
-    named = getattr(rule, "name", None), getattr(rule, "__name__", None)
-    return next((name for name in named if isinstance(name, str) and name), type(rule).__name__)
+    names = getattr(rule, "name", None), getattr(rule, "__name__", None)
+    return next((name for name in names if isinstance(name, str) and name), type(rule).__name__)
 
 
 def call_rule(rule: Any, function: Callable[..., Any], *args: Any) -> Any:
-    """Call a user's rule; any failure becomes an `InfeasibleStartError`, with it as `__cause__`."""
+    """Call a user's rule; any failure becomes an `InfeasibleStartError`."""
     takes = (
         "a rule takes (grasp, wrench) and returns an (N, 3) force, or raises InfeasibleStartError"
     )
@@ -151,7 +149,7 @@ class LinearCombination:
 
 
 def checked_initial(initial: Any) -> Any:
-    """Return a checked `initial` argument with names as plain text."""
+    """Return a checked `initial`, with a name as a plain str."""
     if isinstance(initial, str):
         hint = (
             "; a learned start is an object: policies.LearnedInitialForce.pretrained()"
@@ -168,11 +166,7 @@ def checked_initial(initial: Any) -> Any:
 
 
 def rule_start(initial: Any, grasp: Grasp, wrench: Wrench, objective: Objective) -> StartRequest:
-    """Return the start that a rule makes, or that is a given force (N, 3) [N].
-
-    Raises:
-        InfeasibleStartError: the rule returns none.
-    """
+    """Return the start from a rule, which may have none, or from the user's force (N, 3) [N]."""
     if isinstance(initial, np.ndarray | list | tuple):
         return StartRequest(GIVEN, "given", force=_force("given", initial, grasp))
     name = rule_name(initial)
@@ -186,7 +180,7 @@ def rule_start(initial: Any, grasp: Grasp, wrench: Wrench, objective: Objective)
 
 
 def _force(name: str, force: Any, grasp: Grasp) -> ContactForces:
-    """Return a rule's force as a C-contiguous array (N, 3)."""
+    """Return a rule's force (N, 3) as an array."""
     try:
         return as_array(force, (grasp.n_contacts, 3), "initial force")
     except InvalidInputError as error:

@@ -75,9 +75,8 @@ class ForceLimits:
         min_normal: least normal force [N], 0 to 1e6; one for all contacts or (N,).
         max_normal: largest normal force [N], above `min_normal`, 1e-12 to 1e12; one or (N,); inf:
             no limit.
-        jacobian: (N, 3, J) or (3N, J), joint speeds -> velocities of the contact points, in the
-            frame of the contacts' positions; (N, 6, J) with the fingertips' angular velocities in
-            rows 3 to 5, for soft contacts. As in `joint_torques`.
+        jacobian: (N, 3, J), (3N, J) or (N, 6, J), as in `joint_torques`, in the frame of the
+            contacts' positions.
         torque_limit: largest absolute joint torque [N m], 1e-12 to 1e12; one for all joints or
             (J,); inf: no limit. It needs `jacobian`, and `jacobian` needs it.
         torque_bias: (J,) tau_0 [N m], torques that the motors supply in addition to J^T f, for
@@ -181,10 +180,7 @@ class ForceLimits:
         return tuple(out)
 
     def slack(self, grasp: Grasp, force: ArrayLike, torsion: ArrayLike | None = None) -> LimitSlack:
-        """Return the distances of `force` (N, 3) [N] on `grasp` from the limits.
-
-        `torsion` is (N,) [N m]; None: zero.
-        """
+        """Return the distances of `force` (N, 3) [N] and `torsion` (N,) [N m] from the limits."""
         least, most, jac, limit, bias = self.checked(as_grasp(grasp).n_contacts)
         forces = _with_torsion(grasp, force, torsion)
         torque = np.einsum("nij,ni->j", _in_contact_frames(grasp, jac), forces) + bias
@@ -201,9 +197,6 @@ class ForceLimits:
         the upper and the lower torque limit of each joint. Columns of components that a contact
         does not transmit are zero.
 
-        Args:
-            grasp: the contacts.
-
         Raises:
             InvalidInputError: limits for another number of contacts.
         """
@@ -213,9 +206,11 @@ class ForceLimits:
         capacity = 2 * (count + len(limit))
         matrix = np.empty((capacity, count, 4))
         bound = np.empty(capacity)
-        of_rows = np.empty(capacity)
         used = core.limit_rows(
-            (least, most, _in_contact_frames(grasp, jac), limit, bias), matrix, bound, of_rows
+            (least, most, _in_contact_frames(grasp, jac), limit, bias),
+            matrix,
+            bound,
+            np.empty(capacity),
         )
         assert used == len(labels)
         transmitted = np.ones((count, 4))
@@ -231,10 +226,7 @@ class ForceLimits:
         torsion: ArrayLike | None = None,
         tolerance: float = 1e-9,
     ) -> list[str]:
-        """Return a message for each limit that the forces exceed by more than `tolerance` [N, N m].
-
-        `grasp`, `force` and `torsion` are those of `slack`.
-        """
+        """Return a message for each limit exceeded by more than `tolerance` [N, N m]; see `slack`."""
         matrix, bound, labels = self.rows(grasp)
         tolerance = number(tolerance, "tolerance", ranges.NOT_NEGATIVE)
         forces = _with_torsion(grasp, force, torsion)
@@ -246,12 +238,12 @@ class ForceLimits:
 
 
 def as_limits(value: object) -> ForceLimits | None:
-    """Return `value` if it is a `ForceLimits` or None; raise `InvalidInputError` otherwise."""
+    """Return `value`, checked to be a `ForceLimits` or None."""
     return instance(value, ForceLimits, "limits", or_none=True)
 
 
 def core_limits(limits: ForceLimits | None, n_contacts: int) -> tuple[Any, ...] | None:
-    """Return the limits for the core, in the order of `LimitArrays`; None: not given."""
+    """Return the limits for the core, in the order of `LimitArrays`; None: no limit."""
     if limits is None:
         return None
     arrays: Any = vars(limits)
@@ -285,7 +277,7 @@ def _with_torsion(grasp: Grasp, force: ArrayLike, torsion: ArrayLike | None) -> 
 
 
 def _bound(value: ArrayLike, name: str, of: str, within: ranges.Range) -> Array:
-    """Return a number or a vector of limits; inf means no limit, but not for `min_normal`."""
+    """Return a checked limit, one or a vector; inf means no limit, but not for `min_normal`."""
     unlimited = within.low > 0.0
     try:
         array = as_array(value, None, name, finite=False)

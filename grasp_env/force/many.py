@@ -20,12 +20,13 @@ from grasp_env.inputs.arguments import AllFaults, Array, as_array, checked_size,
 class ForceSolutions(Sequence[ForceSolution]):
     """Solutions of M problems as arrays; `solutions[k]` is the k-th as a `ForceSolution`.
 
+    The arrays are documented there.
+
     Attributes:
         records: (M, K) one row of numbers per problem, see `record.py`.
     """
 
     def __init__(self, records: Array, names: Names) -> None:
-        """Wrap filled records, with the `names` that their solutions show."""
         self.records, self._names = records, names
 
     def __len__(self) -> int:
@@ -57,24 +58,24 @@ class ForceSolutions(Sequence[ForceSolution]):
 
     @property
     def force(self) -> Array:
-        """(M, N, 3) normal, o, t in each contact frame [N]."""
+        """(M, N, 3) [N]."""
         n = self.n_contacts
         return self.records[:, at.FORCE : at.FORCE + 3 * n].reshape(len(self), n, 3)
 
     @property
     def torsion(self) -> Array:
-        """(M, N) torsions about the normals [N m]."""
+        """(M, N) [N m]."""
         n = self.n_contacts
         return self.records[:, at.FORCE + 6 * n : at.FORCE + 7 * n]
 
     @property
     def wrench(self) -> Array:
-        """(M, 6) the balanced wrenches [N, N m]."""
+        """(M, 6) [N, N m]."""
         return self.records[:, at.WRENCH : at.WRENCH + 6]
 
     @property
     def multipliers(self) -> Array:
-        """(M, 6) multipliers nu of balance."""
+        """(M, 6) nu of balance."""
         return self.records[:, at.MULTIPLIERS : at.MULTIPLIERS + 6]
 
     @property
@@ -97,7 +98,7 @@ class ForceSolutions(Sequence[ForceSolution]):
 
     @property
     def objective(self) -> Array:
-        """(M,) Phi, or weighted sum or maximum of normal forces [N]; inf without a force."""
+        """(M,) inf without a force."""
         return self.records[:, at.OBJECTIVE]
 
     @property
@@ -107,12 +108,12 @@ class ForceSolutions(Sequence[ForceSolution]):
 
     @property
     def equilibrium_residual(self) -> Array:
-        """(M,) largest |component| of G f + w, moments divided by the grasp's length [N]."""
+        """(M,) [N]."""
         return self.records[:, at.RESIDUAL]
 
     @property
     def cone_margin(self) -> Array:
-        """(M,) least friction-cone margin [N], in cone coordinates."""
+        """(M,) [N]."""
         return self.records[:, at.MARGIN]
 
     def counts(self) -> dict[Status, int]:
@@ -140,11 +141,9 @@ def checked_batch(wrenches: ArrayLike, workers: int | None) -> tuple[Array, int]
         loads = check(
             lambda: checked_size(as_array(wrenches, (None, 6), "wrenches", copy=False), "wrenches")
         )
-        threads = (
-            (os.cpu_count() or 1)
-            if workers is None
-            else check(whole, workers, "workers", 1, ranges.WORKERS)
-        )
+        threads = os.cpu_count() or 1
+        if workers is not None:
+            threads = check(whole, workers, "workers", 1, ranges.WORKERS)
     return loads, threads
 
 
@@ -174,10 +173,8 @@ def solve_one(optimizer: Any, load: Array, record: Array) -> None:
         if solution is None:
             record[:] = 0.0
             record[at.CODE], record[at.OBJECTIVE], record[at.BOUND] = at.UNDECIDED, np.inf, -np.inf
-            record[at.CONTACTS], record[at.WRENCH : at.WRENCH + 6] = (
-                optimizer.grasp.n_contacts,
-                load,
-            )
+            record[at.CONTACTS] = optimizer.grasp.n_contacts
+            record[at.WRENCH : at.WRENCH + 6] = load
         else:
             record[:] = solution._record
 
@@ -208,8 +205,8 @@ def over_parts(work: Callable[[slice], None], count: int, size: int, threads: in
         return
     with ThreadPoolExecutor(threads) as pool:
         try:
-            for done in [pool.submit(take) for _ in range(threads)]:
-                done.result()
+            for task in [pool.submit(take) for _ in range(threads)]:
+                task.result()
         finally:
             for _ in parts:  # after an error: leave no slice for the other threads
                 pass

@@ -20,9 +20,9 @@ Weight = float | Sequence[float]
 class Objective:
     """The paper's objective, Eqs. 10 and 27-31, with W_p = omega I and W_i = lambda I.
 
-    The weights may also be omega_i I, lambda_i I per contact. Per contact, in cone coordinates (u,
-    o, t) and with s^2 = o^2 + t^2: 3 omega u + lambda (1/u + 2u/(u^2 - s^2)). (The second trace is
-    of W_i P^-1; Eqs. 10, 27 and 29 print W_p.)
+    Per contact, in cone coordinates (u, o, t) and with s^2 = o^2 + t^2, it is
+    3 omega u + lambda (1/u + 2u/(u^2 - s^2)). (The second trace is of W_i P^-1; Eqs. 10, 27 and 29
+    print W_p.)
 
     Attributes:
         force_weight: omega, the weight of the forces, 1e-4 to 1e4; a scalar, or one value per
@@ -88,9 +88,8 @@ class Objective:
     def lower_bound(self, multipliers: Array, cone_matrix: Array, wrench: Array) -> float:
         """Return a lower bound of Phi over forces that balance `wrench` (6,), or -inf.
 
-        It is the dual value at the `multipliers` nu (6,).
-
-        At the optimum grad Phi = G^T nu, with G in cone coordinates, `cone_matrix` (6, 3N).
+        It is the dual value at the `multipliers` nu (6,); at the optimum grad Phi = G^T nu, with G
+        in cone coordinates, `cone_matrix` (6, 3N).
         """
         nu = as_array(multipliers, (6,), "multipliers", ranges.SIZE)
         load = as_array(wrench, (6,), "wrench", ranges.SIZE)
@@ -99,7 +98,7 @@ class Objective:
 
 
 def _contacts(x: Array, inside: bool = False, finite: bool = True) -> Array:
-    """Return flat cone coordinates as (N, 3), checked to lie in the cones if `inside`."""
+    """Return flat cone coordinates as (N, 3)."""
     numbers = as_array(x, None, "x", ranges.SIZE if finite else None, finite=finite)
     if numbers.size % 3 or not 1 <= numbers.size // 3 <= ranges.SIDE_BY_SIDE:
         raise InvalidInputError(
@@ -129,5 +128,5 @@ def _weight(value: Weight, name: str, within: ranges.Range) -> Weight:
 
 
 def as_objective(value: object) -> Objective:
-    """Return an `Objective`, the default one for None; raise `InvalidInputError` for anything else."""
+    """Return a checked `Objective`, the default one for None."""
     return Objective() if value is None else instance(value, Objective, "objective")

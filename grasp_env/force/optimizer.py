@@ -1,8 +1,4 @@
-"""`ForceOptimizer`, for repeated calls, and `optimize_force`, for a single call.
-
-Longer than most modules: the class documents every argument, and its parts share the private state
-of a call.
-"""
+"""`ForceOptimizer`, for repeated calls, and `optimize_force`, for a single call."""
 
 from __future__ import annotations
 
@@ -64,11 +60,10 @@ FROM_BASIS = ("linear_combination", "linear_combination_printed", "single_value"
 class ForceOptimizer:
     """Solver for repeated calls, on the contacts of the constructor or on others.
 
-    The arguments of a call (positions, normals, friction, Jacobian, torque bias, touching contacts)
-    hold for that call only. Only the last solution is kept between calls. It is a start only with
-    `initial="previous"`, or with a learned rule whose `remembers` is True and whose prediction has
-    a larger Phi. Use each optimizer in one thread; several optimizers may run at once. The class
-    wraps the C++ class `grasp::ForceOptimizer` and adds checks and error messages.
+    The arguments of a call hold for that call only. Only the last solution is kept between calls.
+    It is a start only with `initial="previous"`, or with a learned rule whose `remembers` is True
+    and whose prediction has a larger Phi. Use each optimizer in one thread; several may run at
+    once. The class wraps the C++ class `grasp::ForceOptimizer`.
 
     Args:
         grasp: the contacts. `solve` accepts others; `update` replaces them.
@@ -77,40 +72,33 @@ class ForceOptimizer:
             on the 3N force components only, which is much cheaper. "conic" minimises the weighted
             normal forces, without Phi.
         initial: the start of every call: a name, any callable rule(grasp, wrench) -> (N, 3), a
-            force (N, 3) [N], or a `ForceSolution`, for example one that you saved. The first call
-            then starts from it, and later calls from the last solution. The names are
-            "linear_combination" (the paper's start, the default of the flows),
-            "linear_combination_printed", "single_value", "lagrange", "phase_one", "internal_force"
-            (the default of newton) and "previous" (the last solution). "conic" takes no start. If
-            the contacts of a call have no force closure, the named start may not exist. The call
-            then searches for a force inside the cones instead ("phase_one").
+            force (N, 3) [N], or a `ForceSolution`. With a solution, only the first call starts from
+            it, later calls from the last solution. The names are "linear_combination" (the paper's
+            start, the default of the flows), "linear_combination_printed", "single_value",
+            "lagrange", "phase_one", "internal_force" (the default of newton) and "previous" (the
+            last solution). "conic" takes no start. If the contacts of a call have no force closure,
+            the named start may not exist; "phase_one" then replaces it.
         criterion: what "conic" minimises, the "sum" or the "max" of the normal forces, each times
             its `force_weight`.
         limits: a `ForceLimits` on normal forces and joint torques, for "newton" and "conic".
-        force_weight: omega, the weight of the forces, 1e-4 to 1e4; a scalar, or one value per
-            contact.
-        barrier_weight: lambda, the weight of the barrier at the cones, in N^2 when force_weight is
-            1, 1e-16 to 1e6; a scalar, or one value per contact. None: 0.01. "conic" has no barrier
-            and takes none.
+        force_weight, barrier_weight: the weights of `Objective`. A barrier of None is 0.01;
+            "conic" has none.
         tolerance: relative certified gap at which to stop, at most 1. None: 1e-4, or 1e-6 for
             "conic".
         max_iterations: largest number of accepted steps, 0 to 10,000,000.
         step_rule: the step rule of the flows: `FixedStep`, `ArmijoStep`, `AdaptiveStep`,
             `BarzilaiBorweinStep` or `ExactStep`. None: `AdaptiveStep()`.
         elastic: if no force satisfies the limits, return a force with status LIMITS_EXCEEDED
-            instead of raising an error. The force balances the wrench and lies inside the cones.
-            Among these forces it has the smallest relative excess: the largest excess / limit over
-            all limits. Given enough iterations, this excess is within 1 % or 1e-6 of the smallest
-            one, whichever is larger. The solution's `objective` is the excess, and `lower_bound`
-            bounds it.
+            instead of raising an error. Of the balanced forces inside the cones it is the one whose
+            largest excess / limit is smallest, to 1 % or 1e-6, whichever is larger, given enough
+            iterations. The solution's `objective` is this excess, and `lower_bound` bounds it.
 
     Raises:
         InvalidInputError: input of another type or shape, not finite, or out of range
             (`grasp_env/inputs/ranges.py`).
         UnknownNameError: unknown method, criterion or rule.
         UnsupportedProblemError: a method that does not support these contacts, limits or options.
-        RankDeficientGraspError: a flow, and contacts that cannot balance wrenches of every
-            direction.
+        RankDeficientGraspError: a flow, and contacts of rank below 6.
         InfeasibleStartError: the start needs the 12-basis, which these contacts do not have, or a
             learned rule fails.
 
@@ -198,9 +186,7 @@ class ForceOptimizer:
             except InfeasibleStartError as error:
                 if error.__cause__ is not None:  # the rule itself failed
                     raise
-                # the rule does not support these contacts: without a model the core uses its
-                # default start, and `solution.initial` names the start that was used and the one
-                # that it replaced
+                # without a model for these contacts the core uses its default start
         # False for a user's rule or force, which `_start` evaluates in Python
         self.core_finds_start = initial is None or start > 0
         self.remembers = remembers
@@ -320,14 +306,13 @@ class ForceOptimizer:
         must be the constructor's frame. C-contiguous float64 arrays are read without a copy.
 
         Args:
-            wrench: (6,) external wrench on the object [N, N m], balanced as G f + wrench = 0.
+            wrench: (6,) external wrench, as in `optimize_force`.
             positions: (N, 3) contact points [m].
             normals: (N, 3) inward unit normals.
             friction: coefficient(s), as in `Grasp.from_contacts`.
             jacobian: (N, 3, J) or (N, 6, J), as in `ForceLimits`; the optimizer must have torque
                 limits.
-            torque_bias: (J,) tau_0 [N m], torques that the motors supply in addition to J^T f, as
-                in `ForceLimits`.
+            torque_bias: (J,) tau_0 [N m], as in `ForceLimits`.
             contacts: (N,) True for contacts that touch; the force of the others is zero. None: all
                 touch. At most 64 contacts.
             initial: a start for this call only.
@@ -340,8 +325,7 @@ class ForceOptimizer:
             InfeasibleWrenchError: no force strictly inside the cones and limits balances the
                 wrench; the error contains the proof. Two hard contacts, for example, do not balance
                 a moment about the line through them.
-            RankDeficientGraspError: no contact touches; or a flow, and contacts that cannot balance
-                wrenches of every direction.
+            RankDeficientGraspError: no contact touches; or a flow, and contacts of rank below 6.
             InfeasibleStartError: the start is not balanced or not strictly inside the cones, or its
                 rule fails.
             NotConvergedError: neither a force nor a proof was found.
@@ -361,7 +345,6 @@ class ForceOptimizer:
         raise self._error(solution, wrench, arrays, start)
 
     def _checked(self, wrench: ArrayLike, arrays: tuple[Any, ...]) -> tuple[Wrench, Call]:
-        """Return the arguments of a call as checked arrays."""
         with AllFaults() as check:
             load = check(as_wrench, wrench)
             call = check(self._arrays, *arrays)
@@ -374,7 +357,7 @@ class ForceOptimizer:
     def _solve_from(
         self, load: Wrench, call: Call, initial: Initial | None, optimum: float | None, trace: bool
     ) -> tuple[ForceSolution, StartRequest]:
-        """Solve from a start of this call, or study its descent; return the start, too."""
+        """Solve from a start of this call, with `optimum` and `trace`; return the start, too."""
         with AllFaults() as check:
             known = float("nan") if optimum is None else check(positive, optimum, "optimum")
             check(flag, trace, "trace")
@@ -403,14 +386,10 @@ class ForceOptimizer:
         contacts: ArrayLike | None = None,
         initial: Initial | None = None,
     ) -> ContactForces:
-        """Return the initial force (N, 3) [N] of `solve`.
-
-        `solve` documents wrench, positions, normals, friction, contacts and initial.
+        """Return the initial force (N, 3) [N] of `solve`, which documents arguments and errors.
 
         Raises:
             UnsupportedProblemError: the method takes no initial force.
-            InvalidInputError, RankDeficientGraspError, InfeasibleWrenchError,
-                InfeasibleStartError: see `solve`.
         """
         arrays = {
             "positions": positions,
@@ -435,10 +414,7 @@ class ForceOptimizer:
         return solution.initial_force.copy(), start.replaced or solution.start_replaced
 
     def solve_many(self, wrenches: ArrayLike, *, workers: int | None = None) -> ForceSolutions:
-        """Optimise the forces for many wrenches (M, 6) [N, N m] on `workers` threads.
-
-        The problems are independent; see `optimize_forces`.
-        """
+        """Solve for many wrenches (M, 6) [N, N m], independently; see `optimize_forces`."""
         return solve_many(self, *checked_batch(wrenches, workers))
 
     def update(
@@ -450,13 +426,12 @@ class ForceOptimizer:
         jacobian: ArrayLike | None = None,
         torque_bias: ArrayLike | None = None,
     ) -> None:
-        """Replace arguments of the constructor; those left out stay.
+        """Replace arguments of the constructor, which `solve` documents; those left out stay.
 
-        `solve` documents positions, normals, friction, jacobian and torque_bias. The 12-basis is
-        computed again if the start needs it.
+        The 12-basis is computed again if the start needs it.
 
         Raises:
-            InvalidInputError, RankDeficientGraspError: see `solve`; the optimizer is unchanged.
+            InvalidInputError, RankDeficientGraspError: as in `solve`; the optimizer is unchanged.
         """
         call = self._arrays(positions, normals, friction, jacobian, torque_bias)
         grasp = (
@@ -474,7 +449,6 @@ class ForceOptimizer:
         self.limits = self._limits_of(call)
 
     def _arrays(self, *args: Any, **kwargs: Any) -> Call:
-        """Return the checked arrays of a call on these contacts and limits."""
         jacobian: Any = None if self.limits is None else self.limits.jacobian
         return checked_call(
             self.grasp, (0, 0) if jacobian is None else jacobian.shape[1:], *args, **kwargs
@@ -484,12 +458,9 @@ class ForceOptimizer:
         """Return the limits with the Jacobian and the torque bias of a call."""
         changes = {name: getattr(call, name) for name in ("jacobian", "torque_bias")}
         changes = {name: value.copy() for name, value in changes.items() if value is not None}
-        return (
-            replace(self.limits, **changes) if self.limits is not None and changes else self.limits
-        )
+        return replace(self.limits, **changes) if self.limits and changes else self.limits
 
     def _start(self, wrench: Wrench, call: Call, initial: Initial | None) -> StartRequest:
-        """Return the start of a call; an `InfeasibleStartError` if a rule fails."""
         requested: Any = self._initial if initial is None else checked_initial(initial)
         if requested is None or self.method == "conic":
             return OWN_START
@@ -512,7 +483,6 @@ class ForceOptimizer:
         return StartRequest(start.start, start.name, start.replaced, force)
 
     def _checked_previous(self, previous: ForceSolution) -> ForceSolution:
-        """Return a solution to start from; raise if it has no force or another number of contacts."""
         if not previous.has_force:
             raise InvalidInputError(
                 f"previous must be a solution with a force, got status {previous.status.value}"
@@ -524,7 +494,6 @@ class ForceOptimizer:
         return previous
 
     def _proof(self, solution: ForceSolution, arrays: tuple[Any, ...]) -> str:
-        """Explain why there is no force."""
         limits, grasp = self.limits, self.grasp
         if any(array is not None for array in arrays):
             try:
@@ -591,8 +560,8 @@ def optimize_force(
 
     Args:
         grasp: the contacts.
-        wrench: (6,) external wrench ON the object, force [N] and moment about the object origin [N
-            m], in the frame of the contacts' positions; balanced as G f + wrench = 0.
+        wrench: (6,) external wrench ON the object, force [N] and moment about the object origin
+            [N m], in the frame of the contacts' positions; balanced as G f + wrench = 0.
         optimum, trace: see `ForceOptimizer.solve`.
         options: the keywords of `ForceOptimizer`, with its defaults.
 

@@ -19,8 +19,7 @@ DESCENTS = (*FLOWS, "newton")
 METHODS = (*DESCENTS, "conic")
 """Names of all methods. `conic` takes no start."""
 CRITERIA = ("sum", "max")
-"""Objectives of `conic`: the sum or the maximum of the normal forces, each times its force_weight.
-"""
+"""Objectives of `conic`, on the normal forces times their force_weight."""
 MAX_ITERATIONS = 20_000
 """Default largest number of accepted steps."""
 TOLERANCE = 1e-4
@@ -48,14 +47,10 @@ class Options:
 
 
 def checked_options(*settings: Any) -> Options:
-    """Return the checked keywords of an optimizer, in the order of its signature.
-
-    They are cached, since the checks take longer than a solve.
-    """
+    """Return the fields of `Options`, checked once, since the checks take longer than a solve."""
     try:
         return _cached(*settings)
-    except Exception:
-        # arguments without a hash, such as a list or a memoryview; wrong ones raise again
+    except Exception:  # arguments without a hash, such as a list; wrong ones raise again
         return _checked(*settings)
 
 

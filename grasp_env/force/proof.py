@@ -39,11 +39,7 @@ def least_normal_motions(grasp: Grasp, q: Array) -> Array:
 def explain(solution: ForceSolution, grasp: Grasp | None, limits: ForceLimits | None) -> str:
     """Explain why no force balances the wrench of an infeasible solution.
 
-    Args:
-        solution: the solution, with the twist that proves it.
-        grasp: the contacts that touch; if they are not all of the solution's, or None, the message
-            names no contacts.
-        limits: the limits of the solve.
+    The message names no contacts if `grasp`, those that touch, has not all of the solution's.
     """
     twist = solution.certificate
     assert twist is not None

@@ -8,48 +8,37 @@ from __future__ import annotations
 
 from grasp_env.core import codes, codes_with_a_force, record_fields
 
-_PLACES = record_fields()
+_AT = record_fields()
 _CODES = codes()
 
-CODE, ITERATIONS, TRIALS, OBJECTIVE, BOUND, RESIDUAL, MARGIN, START, REPLACED, OUTSIDE, CONTACTS = (
-    _PLACES[name]
-    for name in (
-        "code",
-        "iterations",
-        "trials",
-        "objective",
-        "lower_bound",
-        "residual",
-        "margin",
-        "start",
-        "replaced",
-        "outside",
-        "contacts",
-    )
-)
-"""Offsets of the outcome, the certificates, the start, and N."""
-WRENCH = _PLACES["wrench"]
+CODE = _AT["code"]
+ITERATIONS = _AT["iterations"]
+TRIALS = _AT["trials"]
+OBJECTIVE = _AT["objective"]
+BOUND = _AT["lower_bound"]
+RESIDUAL = _AT["residual"]
+MARGIN = _AT["margin"]
+START = _AT["start"]
+REPLACED = _AT["replaced"]
+OUTSIDE = _AT["outside"]
+CONTACTS = _AT["contacts"]
+"""Offset of N; those above are of the outcome, the certificates and the start."""
+WRENCH = _AT["wrench"]
 """Offset of the balanced wrench, 6 numbers."""
-MULTIPLIERS = _PLACES["multipliers"]
-"""Offset of nu, 6 numbers: grad objective = G^T nu (+ the cone multipliers), d objective / d w =
--nu; the twist if infeasible."""
-FORCE = _PLACES["force"]
+MULTIPLIERS = _AT["multipliers"]
+"""Offset of `ForceSolution.multipliers`, 6 numbers; the twist if infeasible."""
+FORCE = _AT["force"]
 """Offset of the force, 3N numbers; 3N initial force, N torsion, 9N frames, joint torques and
 multipliers of limits follow."""
-CONVERGED, LIMIT, STALLED, INFEASIBLE, REFUSED, LIMITS_EXCEEDED, RANK_LOST, UNDECIDED, STARTED = (
-    _CODES[name]
-    for name in (
-        "converged",
-        "limit",
-        "stalled",
-        "infeasible",
-        "refused",
-        "limits_exceeded",
-        "rank_lost",
-        "undecided",
-        "started",
-    )
-)
-"""Codes of the outcomes."""
+
+CONVERGED = _CODES["converged"]
+LIMIT = _CODES["limit"]
+STALLED = _CODES["stalled"]
+INFEASIBLE = _CODES["infeasible"]
+REFUSED = _CODES["refused"]
+LIMITS_EXCEEDED = _CODES["limits_exceeded"]
+RANK_LOST = _CODES["rank_lost"]
+UNDECIDED = _CODES["undecided"]
+STARTED = _CODES["started"]
 RESULTS = codes_with_a_force()
 """Codes of rows that contain a force."""

@@ -27,11 +27,10 @@ CORRECTIONS: tuple[Correction, ...] = get_args(Correction)
 class Repair:
     """Move a candidate into the cones along the segment to the combination of the 12-basis.
 
-    The candidate first receives the least-norm correction -G^+ (G f + w), which leaves a balanced
-    candidate unchanged. The result is the force of least Phi on the segment from the combination,
-    which is strictly feasible, to the corrected candidate. So it is never worse than the paper's
-    start, nor than a feasible candidate. If the combination itself has the least Phi, nothing is
-    left of the candidate; `start_replaced` detects this.
+    The candidate first receives the least-norm correction -G^+ (G f + w). The result is the force
+    of least Phi on the segment from the combination, which is strictly feasible, to the corrected
+    candidate. So it is never worse than the paper's start, nor than a feasible candidate. If the
+    combination itself has the least Phi, the candidate is discarded; `start_replaced` detects this.
 
     Attributes:
         objective: Phi.
@@ -65,14 +64,8 @@ def start_replaced(grasp: Grasp, wrench: Wrench, force: ContactForces) -> bool:
     """True if a start equals the paper's combination, so `Repair` has discarded the candidate.
 
     For zero wrench the result is False: there the combination is the optimum itself, which any good
-    start may reach. The start is compared with the combination of every 12-basis cached for this
-    `Grasp` object. `Repair` caches one; without one the comparison costs nothing. Forces count as
-    equal up to 1e-12 of the largest component.
-
-    Args:
-        grasp: the contacts.
-        wrench: (6,) [N, N m].
-        force: (N, 3) the start [N].
+    start may reach. The start `force` (N, 3) [N] is compared, to 1e-12 of its largest component,
+    with the combination of every 12-basis cached for this `Grasp` object. `Repair` caches one.
 
     Example:
         >>> from grasp_env.grasp import presets
@@ -99,8 +92,7 @@ def carry_over(
     """Carry a previous optimum over to a new grasp and wrench, strictly inside the cones.
 
     Args:
-        grasp: the current grasp.
-        wrench: (6,) the current wrench [N, N m].
+        grasp, wrench: the current grasp, and wrench (6,) [N, N m].
         previous: (N, 3) the previous optimum [N].
         objective: Phi.
         correction: "pseudoinverse": the least-norm change that restores balance; "tangent": the
@@ -123,15 +115,10 @@ def carry_over(
         0
     """
     choice(correction, "correction", CORRECTIONS)
-    wrench = as_wrench(wrench)
-    before = as_array(previous, (as_grasp(grasp).n_contacts, 3), "previous", ranges.SIZE)
-    return _repaired(
-        grasp,
-        as_objective(objective),
-        PREVIOUS if correction == "tangent" else GUESS,
-        wrench,
-        before,
-    )
+    load = as_wrench(wrench)
+    force = as_array(previous, (as_grasp(grasp).n_contacts, 3), "previous", ranges.SIZE)
+    start = PREVIOUS if correction == "tangent" else GUESS
+    return _repaired(grasp, as_objective(objective), start, load, force)
 
 
 def _repaired(

@@ -1,4 +1,4 @@
-"""Table of the start rules by name: the paper's and related ones."""
+"""The start rules by name: the paper's and related ones."""
 
 from __future__ import annotations
 
@@ -67,12 +67,7 @@ class CoreRule:
 
 @dataclass(frozen=True)
 class RuleEntry:
-    """An entry of `RULES`.
-
-    Attributes:
-        label: text for reports.
-        make: objective -> rule.
-    """
+    """An entry of `RULES`: a label for reports, and a function objective -> rule."""
 
     label: str
     make: Callable[[Objective], InitialForceRule] = field(repr=False)
@@ -93,7 +88,7 @@ RULES: dict[str, RuleEntry] = {
 
 
 def initial_rule(name: str, objective: Objective | None = None) -> InitialForceRule:
-    """Return the rule of that name, a key of `RULES`, for the given Phi (None: the defaults).
+    """Return a rule of `RULES` for a Phi (None: the defaults).
 
     Example:
         >>> initial_rule("single_value")

@@ -41,7 +41,7 @@ COMBINATION, PREVIOUS, GIVEN, GUESS, LEARNED = (
 
 
 class Status(Enum):
-    """Outcome of a force optimisation; `status.help` explains it."""
+    """Outcome of a force optimisation."""
 
     OPTIMAL = "optimal"
     ITERATION_LIMIT = "iteration_limit"
@@ -85,7 +85,6 @@ class Names(NamedTuple):
     """Names that a solution shows.
 
     Attributes:
-        method: the method's name.
         requested: the name of the requested start.
         starts: the names of all starts, in the order of `STARTS`.
     """
@@ -95,14 +94,14 @@ class Names(NamedTuple):
     starts: tuple[str, ...] = STARTS
 
     def initial(self, record: Array) -> str:
-        """Return `ForceSolution.initial`, which reports a replaced start and an untrained range."""
+        """Return `ForceSolution.initial`."""
         used = self.starts[int(record[START])]
         if record[REPLACED]:
             return f"{used} ({self.requested} was replaced)"
         return f"{used} (outside its training range)" if record[OUTSIDE] else used
 
     def of_start(self, start: int, name: str | None) -> Names:
-        """Return the names for a call with another start: an index into `STARTS`, and its name."""
+        """Return the names for a call with another start, an index into `STARTS`."""
         if name is None:
             return self._replace(requested=STARTS[start]) if start else self
         return self._replace(requested=name, starts=(*STARTS[:start], name, *STARTS[start + 1 :]))
@@ -122,26 +121,23 @@ class ForceSolution(Solution):
         torsion: (N,) torsion of each finger on the object about its normal [N m]; zero unless the
             contact is soft.
         wrench: (6,) the external wrench that `force` balances [N, N m].
-        multipliers: (6,) nu of balance: grad objective = G^T nu (+ multipliers of the limits), d
-            objective / d wrench = -nu.
+        multipliers: (6,) nu of balance: grad objective = G^T nu (+ multipliers of the limits),
+            d objective / d wrench = -nu.
         limit_multipliers: (M,) multipliers >= 0 of the limits, in the order of
             `ForceOptimizer.limit_labels`; with status INFEASIBLE those of the proof, see
             `certificate`; empty for LIMITS_EXCEEDED.
         has_force: False if the solve found no force; then `force` is zero.
-        method: the method's name.
         initial: the name of the start; "internal_force (NAME was replaced)" if nothing is left of
-            the requested one.
-        start_replaced: True if nothing is left of the requested start.
+            the requested one, and then `start_replaced` is True.
         iterations: accepted steps.
         trials: all steps tried.
         objective: Phi of `force`; for `conic` the sum or maximum of force_weight times normal force
             [N]; `limit_excess` if that is > 0.
-        lower_bound: a dual bound: no balanced force has a smaller objective; -inf: unknown; the
+        lower_bound: dual bound, below the objective of every balanced force; -inf: unknown; the
             `optimum` if that was given.
         optimality_gap: (objective - lower_bound) / lower_bound, certified; +inf without a positive
             bound.
-        equilibrium_residual: largest |component| of G f + w [N], moments about the contacts'
-            centre, divided by the grasp's length.
+        equilibrium_residual: `Grasp.residual` of the force [N].
         cone_margin: min over contacts of mu * normal - |tangential| [N] (in cone coordinates); > 0
             strictly inside.
         limit_excess: largest excess of a limit as a fraction of that limit; 0 within all limits.
@@ -161,17 +157,17 @@ class ForceSolution(Solution):
 
     @property
     def initial(self) -> str:
-        """The name of the start, see the class."""
+        """The name of the start; see the class."""
         return self._names.initial(self._record)
 
     @property
     def certificate(self) -> Array | None:
         """(6,) the proof of infeasibility with status INFEASIBLE, else None.
 
-        It is a twist v with G_i^T v in the dual cone of every contact and v . w > 0. With limits A
-        f <= b and multipliers y, `limit_multipliers`, G^T v + A^T y lies in the dual cones and v .
-        w > y . b. For a zero wrench v . w = 0: no force strictly inside the cones balances itself,
-        and the force zero has no finite Phi.
+        It is a twist v with G_i^T v in the dual cone of every contact and v . w > 0. With limits
+        A f <= b and multipliers y, `limit_multipliers`, G^T v + A^T y lies in the dual cones and
+        v . w > y . b. For a zero wrench v . w = 0: no force strictly inside the cones balances
+        itself, and the force zero has no finite Phi.
         """
         return self.multipliers if self.code == INFEASIBLE else None
 
@@ -190,7 +186,7 @@ class ForceSolution(Solution):
 
         Raises:
             InfeasibleWrenchError: status INFEASIBLE or LIMITS_EXCEEDED.
-            NotConvergedError: any other status except OPTIMAL.
+            NotConvergedError: any other status.
         """
         if self.status in (Status.INFEASIBLE, Status.LIMITS_EXCEEDED):
             raise InfeasibleWrenchError(self._infeasibility(), self)

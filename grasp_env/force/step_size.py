@@ -3,13 +3,12 @@
 The paper only asks that alpha_k "guarantee the convergence of the objective function". Every rule
 here accepts only points strictly inside the cones with a smaller Phi, and shrinks the step until it
 finds one. After a hundred trials of one iteration the step shrinks by at least a half, so every
-search ends. A rule is data, `parameters()`. The core implements it (`flow.hpp`), and
-`tests/oracles/descent.py` does so once more in plain Python.
+search ends. The core implements the rules (`flow.hpp`).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -47,8 +46,7 @@ class _Checked:
 
     def __post_init__(self) -> None:
         with AllFaults() as check:
-            for name in (item.name for item in fields(self)):
-                value = getattr(self, name)
+            for name, value in list(vars(self).items()):
                 checked = (
                     check(choice, value, name, VARIANTS)
                     if name == "variant"
@@ -190,11 +188,11 @@ STEP_RULES: tuple[type[Any], ...] = (
 
 
 def checked_rule(rule: Any) -> StepRule:
-    """Return the rule, or AdaptiveStep() for None; an `InvalidInputError` for anything else."""
+    """Return the checked rule, `AdaptiveStep()` for None."""
     if rule is None:
         return AdaptiveStep()
     if not isinstance(rule, STEP_RULES):
-        names = [each.__name__ for each in STEP_RULES]
+        names = [kind.__name__ for kind in STEP_RULES]
         raise InvalidInputError(
             f"step_rule must be None or a {', '.join(names[:-1])} or {names[-1]}, got {shown(rule)}"
         )

@@ -20,17 +20,16 @@ def joint_torques(
     """Return the joint torques with which the fingers exert `force` on the object.
 
     By virtual work tau . qd = f . (J qd), apart from the bias. f is the force of the finger ON the
-    object, as everywhere in this package, so tau is the torque of the motors. Jacobian, force and
-    moment are all given in one frame. In the frame of the contacts' positions the force is
-    `grasp.to_object_frame(solution.force)`.
+    object, so tau is the torque of the motors. Give Jacobian, force and moment in one frame. In
+    the frame of the contacts' positions the force is `solution.object_force`.
 
     Args:
         jacobian: (N, 3, J) or (3N, J), joint speeds -> velocity of each contact point, relative to
             the base of the hand; (N, 6, J) with the fingertip's angular velocity in rows 3 to 5.
             The unit is [m] for revolute joints.
         force: (N, 3) contact forces [N].
-        bias: (J,) torques besides those of the grasp, such as those that carry the hand's weight [N
-            m]; None: zero.
+        bias: (J,) torques in addition to those of the grasp, such as for the hand's weight [N m];
+            None: zero.
         moment: (N, 3) moments of soft contacts about their contact points [N m],
             `solution.torsion[:, None] * grasp.normals`; needs a Jacobian (N, 6, J).
 
@@ -65,8 +64,7 @@ def checked_jacobian(
 ) -> Array:
     """Return a Jacobian as (N, 3, J) or (N, 6, J), also from (3N, J).
 
-    It must have `count` contacts (None: any). Rows of contacts that a mask `used` (N,) leaves out
-    may hold any numbers.
+    It must have `count` contacts (None: any); `used` is as in `as_array`.
     """
     jac = as_array(jacobian, None, "jacobian", finite=False)
     shape = jac.shape
