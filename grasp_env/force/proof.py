@@ -6,7 +6,7 @@ import numpy as np
 
 from grasp_env.force.limits import ForceLimits
 from grasp_env.force.solution import ForceSolution
-from grasp_env.grasp.grasp import Grasp
+from grasp_env.grasp.grasp import Grasp, transmitted_matrix
 from grasp_env.inputs.arguments import Array
 
 NEGLIGIBLE_MULTIPLIER = 1e-6
@@ -68,13 +68,6 @@ def explain(solution: ForceSolution, grasp: Grasp | None, limits: ForceLimits | 
     return (
         f"no force strictly inside the friction cones balances {wrench}; {shown} separates it from what the cones{where} can make "
         "(error.solution.certificate): add contacts that resist it, raise the friction, or change the wrench"
-    )
-
-
-def transmitted_matrix(grasp: Grasp) -> Array:
-    """Return G (6, 4N) of transmitted forces and torsions; the other columns are zero."""
-    return np.concatenate(
-        [grasp.matrix * grasp.models.transmitted.reshape(-1), grasp.torsion_matrix], axis=1
     )
 
 

@@ -25,18 +25,15 @@ from grasp_env.inputs.arguments import Array, Wrench, as_wrench, warn
 def advise(grasp: Grasp, wrench: ArrayLike | None = None, limits: Any = None) -> list[str]:
     """Return a list of texts, one for each likely mistake in a grasp, a wrench and limits.
 
-    Nothing is printed.
-
     The texts report normals that point out of the object, millimetres (positions, torsional
     friction, Jacobian), friction above 2 or in degrees, contacts that nearly coincide, and a nearly
     singular G. With a wrench, they also report a moment about another point than the origin of the
     positions, and force and moment in the wrong order. With limits as well, they report torque
     limits hundreds of times too large or too small. Each text states what was seen, when it may be
-    right, and what to change. `optimize_force` warns of the mistakes that are near certain.
+    right, and what to change. `optimize_force` warns about the almost certain mistakes.
 
     Args:
-        grasp: a valid grasp.
-        wrench: (6,) external wrench [N, N m], as for `optimize_force`.
+        grasp, wrench: as in `optimize_force`.
         limits: the `ForceLimits` of the solve.
 
     Raises:

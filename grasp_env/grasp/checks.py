@@ -1,4 +1,4 @@
-"""Checks of contact geometry: points, tangents, the place and size of a grasp, and the rank of G."""
+"""Checks of contact geometry: points, tangents, the place and size of a grasp, rank of G."""
 
 from __future__ import annotations
 
@@ -13,14 +13,13 @@ from grasp_env.inputs import ranges
 from grasp_env.inputs.arguments import Array, as_array
 
 RANK_TOLERANCE = 1e-8
-"""Least ratio of singular values of G (moments divided by the grasp's length) that counts as rank
-6."""
+"""Least ratio of singular values of G, moments divided by the grasp's length, for rank 6."""
 DEFAULT_TANGENTS = np.zeros((0, 3))
 """Tangents for the default rule."""
 
 
 def checked_points(positions: ArrayLike) -> Array:
-    """Return checked contact points (N, 3)."""
+    """Return contact points (N, 3)."""
     points = as_array(positions, (None, 3), "positions")
     if len(points) > ranges.CONTACTS:
         raise InvalidInputError(
@@ -41,10 +40,7 @@ def normalise_normals(normals: Array) -> None:
 
 
 def check_place(count: int, size: float, centre: Array) -> None:
-    """Raise if contacts are too close together, too far apart, or too far from the origin.
-
-    One contact may be anywhere.
-    """
+    """Raise if several contacts are too close together, too far apart, or far from the origin."""
     if count == 0:
         raise InvalidInputError("positions must have at least one contact, got none")
     if count == 1:
@@ -71,7 +67,7 @@ def check_torsion(gamma: Array, length: float) -> None:
 
 
 def checked_tangents(tangents: ArrayLike | None, normals: Array) -> Array:
-    """Return checked directions for o, (N, 3) and not along a normal; (0, 3) for the default rule."""
+    """Return directions for o (N, 3), not along a normal; (0, 3) for the default rule."""
     if tangents is None:
         return DEFAULT_TANGENTS
     along: Array = as_array(tangents, (len(normals), 3), "tangents")
@@ -90,10 +86,7 @@ def rank_of(singular: np.ndarray) -> int:
 
 
 def rank_error(rank: int, count: int, hint: str = "") -> RankDeficientGraspError:
-    """Return the error for contacts that cannot balance wrenches of every direction.
-
-    It ends with `hint`.
-    """
+    """Return the error for a rank below 6."""
     return RankDeficientGraspError(
         f"rank(G) = {rank} < 6 with {count} contact{'s' * (count != 1)}: some wrenches cannot be balanced. Use at least three contacts "
         f"with friction that do not lie on one line, or two soft ones{hint}"

@@ -95,51 +95,38 @@ class ContactModels:
     def other_friction(self, friction: ArrayLike, used: np.ndarray | None = None) -> Array:
         """Return (N, 2) other coefficients for the same contacts, from a scalar, (N,) or (N, 2).
 
-        They are 0 for frictionless contacts. Those of contacts that a mask `used` (N,) leaves out
-        may be any numbers; they become 0.
+        They are 0 for frictionless contacts, and for those that a mask `used` (N,) leaves out.
         """
         rough = self.friction[:, 0] > 0.0
-        return (
-            _friction(friction, rough)
-            if used is None
-            else _friction(friction, rough & used, finite=False)
-        )
+        if used is None:
+            return _friction(friction, rough)
+        return _friction(friction, rough & used, finite=False)
 
     @cached_property
     def transmitted(self) -> np.ndarray:
-        """(N, 3) bool: the transmitted force components (normal, o, t); torsion is separate."""
+        """(N, 3) bool: the transmitted force components (normal, o, t)."""
         sent = self.cone_scale > 0.0
         sent.setflags(write=False)
         return sent
 
     @cached_property
     def mean_friction(self) -> Array:
-        """(N,) sqrt(mu_o mu_t); 0 for frictionless contacts.
-
-        Read-only and shared by all grasps with these models.
-        """
+        """(N,) sqrt(mu_o mu_t); 0 for frictionless contacts."""
         mean = self.cone_scale[:, 0] * (self.friction[:, 0] > 0.0)
         mean.setflags(write=False)
         return mean
 
 
 def _friction(value: ArrayLike, rough: np.ndarray, finite: bool = True) -> Array:
-    """Return coefficients (N, 2), checked for the contacts that are `rough` (N,), 0 for the others."""
+    """Return coefficients (N, 2), 0 for contacts that are not `rough` (N,)."""
     count = len(rough)
     shapes = (), (count,), (count, 2)
-    return _per_contact(
-        value,
-        "friction",
-        shapes,
-        rough,
-        ranges.FRICTION,
-        "at every contact that is not frictionless",
-        finite,
-    )
+    where = "at every contact that is not frictionless"
+    return _per_contact(value, "friction", shapes, rough, ranges.FRICTION, where, finite)
 
 
 def _torsional(value: ArrayLike | None, soft: np.ndarray) -> Array:
-    """Return gamma (N,), checked for the contacts that are `soft` (N,), 0 for the others."""
+    """Return gamma (N,), 0 for contacts that are not `soft` (N,)."""
     if value is None and not soft.any():
         return np.zeros(len(soft))
     if value is None:
@@ -147,30 +134,21 @@ def _torsional(value: ArrayLike | None, soft: np.ndarray) -> Array:
             "soft contacts need torsional_friction: |torsion| <= torsional_friction * normal [m], a scalar or (N,); "
             "about 0.005 for a fingertip with a contact patch of 1 cm radius"
         )
+    within = ranges.TORSIONAL_FRICTION
     shapes = (), soft.shape
-    return _per_contact(
-        value,
-        "torsional_friction",
-        shapes,
-        soft,
-        ranges.TORSIONAL_FRICTION,
-        "at every soft contact",
-    )
+    return _per_contact(value, "torsional_friction", shapes, soft, within, "at every soft contact")
 
 
 def _per_contact(
     value: ArrayLike,
     name: str,
     shapes: tuple[tuple[int, ...], ...],
-    felt: np.ndarray,
+    used: np.ndarray,
     within: ranges.Range,
     where: str,
     finite: bool = True,
 ) -> Array:
-    """Return numbers in the last of some shapes, checked where they are `felt` (N,), else 0.
-
-    With `finite=False` the others may be infinite or nan.
-    """
+    """Return numbers in the last of some shapes, checked for contacts `used` (N,), else 0."""
     numbers = as_array(value, None, name, finite=finite)
     if numbers.shape not in shapes:
         raise InvalidInputError(
@@ -178,7 +156,7 @@ def _per_contact(
         )
     rows = numbers[:, None] if numbers.ndim == 1 and len(shapes[-1]) == 2 else numbers
     full = np.array(np.broadcast_to(rows, shapes[-1]), order="C")
-    if not ((full >= within.low) & (full <= within.high))[felt].all():
+    if not ((full >= within.low) & (full <= within.high))[used].all():
         raise InvalidInputError(f"{name} must lie within {within} {where}, got {shown(numbers)}")
-    full[~felt] = 0.0
+    full[~used] = 0.0
     return full

@@ -36,11 +36,10 @@ _HEADER = ("schema", "units")
 
 
 def save_grasp(grasp: Grasp, path: str | Path) -> Path:
-    """Write a grasp as JSON, atomically: to a temporary file that is then renamed; return the path.
+    """Write a grasp as JSON and return the path.
 
-    Numbers are written with all digits. Friction is written as (N,) if every cone is round, else as
-    (N, 2). Tangents are omitted if they follow the rule of `contact_frames`. Missing folders are
-    created, an existing file is replaced.
+    Numbers are written with all digits. Tangents are omitted if they follow the rule of
+    `contact_frames`. Missing folders are created; an existing file is replaced atomically.
 
     Raises:
         GraspFileError: the file cannot be written.
@@ -68,9 +67,7 @@ def save_grasp(grasp: Grasp, path: str | Path) -> Path:
 
 
 def load_grasp(path: str | Path) -> Grasp:
-    """Read a grasp from the JSON file at `path`, with the keys of `Grasp.from_contacts`.
-
-    The top of this module has an example.
+    """Read a grasp from the JSON file at `path`; the top of this module has an example.
 
     If `schema` and `units` are given, they must be those of this version.
 
@@ -125,10 +122,7 @@ def _to_json(grasp: Grasp) -> dict[str, Any]:
 
 
 def _read(file: Path) -> dict[str, Any]:
-    """Return the keys and values of a file with a valid header.
-
-    Integers become floats, so huge ones become inf.
-    """
+    """Return the keys and values of a file with a valid header; huge integers become inf."""
     values = read_json(
         file, GraspFileError, "grasp file", _MAX_BYTES, parse_int=float, object_pairs_hook=_unique
     )

@@ -1,7 +1,4 @@
-"""`Grasp`: contacts on an object and the linear maps between their forces and the object's wrench.
-
-Longer than most modules: one class, whose arrays and frames are documented one by one.
-"""
+"""`Grasp`: contacts on an object and the linear maps between their forces and its wrench."""
 
 from __future__ import annotations
 
@@ -40,7 +37,7 @@ _READER = ContactReader(
 
 
 class _Lazy:
-    """An attribute of a grasp that is computed at its first use; a solve needs few of them."""
+    """An attribute of a grasp that is computed at its first use."""
 
     def __init__(self, make: Callable[[Grasp], Any] | None) -> None:
         self._make = make
@@ -121,21 +118,19 @@ class Grasp:
             positions: (N, 3) contact points [m], object frame.
             normals: (N, 3) unit normals pointing INTO the object, object frame; lengths within 1 %
                 of one are made exact.
-            friction: coefficient(s), 1e-4 to 1e4: a scalar, (N,), or (N, 2) for elliptic cones
-                (mu_o, mu_t). Ignored for frictionless contacts.
+            friction: coefficient(s): a scalar, (N,), or (N, 2) for elliptic cones (mu_o, mu_t).
+                Ignored for frictionless contacts.
             contact_model: "hard", "soft" or "frictionless", one for all or N names; see
                 `contact_model.py`.
-            torsional_friction: gamma [m] in abs(torsion) <= gamma * normal, 1e-15 to 1e6 and at
-                most 1e4 times the grasp's length; a scalar or (N,); for soft contacts only.
+            torsional_friction: gamma [m] in abs(torsion) <= gamma * normal; a scalar or (N,); for
+                soft contacts only.
             tangents: (N, 3) directions; o is their normalised projection on the tangent plane.
                 None: the rule of `contact_frames`.
 
         Raises:
-            InvalidInputError: wrong shapes, values that are not finite or out of range
-                (`grasp_env/inputs/ranges.py`), normals whose length is not within 1 % of one, a
-                tangent along its normal, soft contacts without torsional friction, no contact or
-                more than 1000, a grasp smaller than 1e-9 m or larger than 1e6 m, or one farther
-                from the origin than 1e5 times its length.
+            InvalidInputError: wrong shapes, values that are not finite, normals of another length,
+                a tangent along its normal, soft contacts without torsional friction, no contact, or
+                numbers, sizes and distances beyond `grasp_env/inputs/ranges.py`.
             UnknownNameError: unknown contact model.
 
         Example:
@@ -173,9 +168,8 @@ class Grasp:
     ) -> Grasp:
         """Make the same grasp as `from_contacts`, to the last bit, from trusted arguments.
 
-        `positions`, `normals` and `tangents` are (N, 3). Not checked are the number of contacts,
-        the models, tangents that are nearly along a normal, and torsional friction against the
-        grasp's length.
+        Not checked are the number of contacts, the models, tangents that are nearly along a normal,
+        and torsional friction against the grasp's length.
 
         Raises:
             InvalidInputError: see `from_contacts`; arrays of another type than float64.
@@ -252,16 +246,15 @@ class Grasp:
     def rank(self) -> int:
         """Rank of G with soft torsions; 6 if the contacts can balance wrenches of every direction.
 
-        Two hard contacts, or any on one line, have rank 5: no force of theirs turns the object
-        about that line.
+        Hard contacts on one line have rank 5: no force of theirs turns the object about it.
         """
         return self.contacts.rank
 
     def within_reach(self, wrench: Wrench) -> Wrench:
         """Return a wrench (6,) [N, N m] without its part that no contact forces make.
 
-        The signs of these forces do not matter. With `rank` 6 nothing is left out. What is left out
-        is orthogonal to the rest, with moments about `centre` and divided by `length`.
+        With `rank` 6 nothing is left out. What is left out is orthogonal to the rest in the
+        components of `unit_frame`.
 
         Example:
             >>> pinch = Grasp.from_contacts([[0, 0.03, 0], [0, -0.03, 0]], [[0, -1, 0], [0, 1, 0]], 0.8)
@@ -275,7 +268,7 @@ class Grasp:
     @property
     def largest_friction(self) -> float:
         """Largest friction coefficient of any contact in any direction."""
-        # of hard contacts, whose `models` are made at their first use
+        # hard contacts make their `models` at the first use
         friction = vars(self).get("_friction")
         if type(friction) is float:
             return friction
@@ -287,10 +280,7 @@ class Grasp:
         return not self.contacts.soft
 
     def to_cone(self, force: ContactForces) -> Array:
-        """Return cone coordinates (3N,) [N] of `force` (N, 3) [N], (u, o, t), u = mu * normal.
-
-        The scaling is VP of Eq. 18.
-        """
+        """Return cone coordinates (3N,) [N], VP of Eq. 18, of `force` (N, 3) [N]."""
         return (self._rows(force, "force") * self.models.cone_scale).reshape(-1)
 
     def to_force(self, x: Array) -> ContactForces:
@@ -300,7 +290,7 @@ class Grasp:
     def cone_margins(self, force: ContactForces) -> Array:
         """Return the margins (N,) [N] of `force` (N, 3) [N] from the cones: u - sqrt(o^2 + t^2).
 
-        That is mu * normal - |tangential| for round cones.
+        For round cones that is mu * normal - |tangential|.
 
         Example:
             >>> from grasp_env.grasp import presets
@@ -311,7 +301,7 @@ class Grasp:
         return u - np.hypot(o, t)
 
     def cone_margin(self, force: ContactForces) -> float:
-        """Return the least of `cone_margins` [N] of `force` (N, 3) [N]."""
+        """Return the least of `cone_margins` [N]."""
         return float(self.cone_margins(force).min())
 
     @property
@@ -324,13 +314,8 @@ class Grasp:
         """Number of independent internal forces (N, 3), without torsions.
 
         It is the number of transmitted force components minus the rank of G on them: 3N - 6 for
-        hard contacts, and 2 less for each frictionless one. The rank is below 6 where soft contacts
-        need their torsions to balance some wrench. Contacts on one line have rank 5 and so one
-        internal force more: two soft ones have one, the squeeze.
-
-        Torsions are not counted. The forces and torsions that together make no wrench have
-        "transmitted components - 6" dimensions, where a soft contact transmits 4 components: 2 for
-        two soft contacts.
+        hard contacts, and 2 less for each frictionless one. Contacts on one line have rank 5 and so
+        one internal force more: two soft ones have one, the squeeze.
 
         Example:
             >>> from grasp_env.grasp import presets
@@ -363,32 +348,23 @@ class Grasp:
 
     def wrench(self, force: ContactForces, torsion: Array | None = None) -> Wrench:
         """Return the wrench (6,) [N, N m] on the object of `force` (N, 3) and `torsion` (N,)."""
-        wrench = self.matrix @ as_array(force, (self.n_contacts, 3), "force", ranges.SIZE).reshape(
-            -1
-        )
+        forces = as_array(force, (self.n_contacts, 3), "force", ranges.SIZE)
+        wrench = self.matrix @ forces.reshape(-1)
         return wrench if torsion is None else wrench + self._torsion_wrench(torsion)
 
     def residual(self, force: ContactForces, wrench: Wrench, torsion: Array | None = None) -> float:
-        """Return the largest |component| of G f + w [N].
+        """Return the largest |component| of G f + w [N], in the components of `unit_frame`.
 
-        Moments are about the contacts' centre and divided by `length`.
-
-        Args:
-            force: (N, 3) [N]: normal, o, t.
-            wrench: (6,) external wrench [N, N m].
-            torsion: (N,) torsions of soft contacts [N m]; None: zero.
+        `force` is (N, 3) [N], `wrench` (6,) [N, N m], `torsion` (N,) [N m] of soft contacts.
         """
-        error = self.matrix @ self._rows(force, "force").reshape(-1) + as_array(
-            wrench, (6,), "wrench", ranges.SIZE
-        )
+        load = as_array(wrench, (6,), "wrench", ranges.SIZE)
+        error = self.matrix @ self._rows(force, "force").reshape(-1) + load
         if torsion is not None:
             error += self._torsion_wrench(torsion)
         return float(np.abs(self.unit_frame @ error).max())
 
     def to_object_frame(self, force: ContactForces) -> Array:
-        """Return object-frame vectors (N, 3) [N] of `force` (N, 3) (normal, o, t) in contact
-        frames.
-        """
+        """Return object-frame vectors (N, 3) [N] of contact-frame forces (normal, o, t) (N, 3)."""
         return np.einsum("nij,nj->ni", self.frames, self._rows(force, "force"))
 
     def to_contact_frame(self, vectors: Array) -> ContactForces:
@@ -408,8 +384,14 @@ class Grasp:
         return rows.reshape(-1, 3)
 
 
+def transmitted_matrix(grasp: Grasp, length: float = 1.0) -> Array:
+    """Return G (6, 4N) of transmitted forces and of torsions over `length`; the rest is zero."""
+    transmitted = grasp.matrix * grasp.models.transmitted.reshape(-1)
+    return np.concatenate([transmitted, grasp.torsion_matrix * length], axis=1)
+
+
 def as_grasp(value: object) -> Grasp:
-    """Return `value` if it is a grasp, or raise an `InvalidInputError`."""
+    """Return `value`, checked to be a grasp."""
     if not isinstance(value, Grasp):
         raise InvalidInputError(
             f"a Grasp is needed (Grasp.from_contacts, grasp_env.grasp.presets), got {shown(value)}"

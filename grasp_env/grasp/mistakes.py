@@ -1,7 +1,5 @@
 """Rules that find common mistakes in contacts, limits and wrenches.
 
-A problem with wrong units, signs or frames is solved without complaint.
-
 Rules that can be near certain take a few microseconds while they find nothing, because every
 `optimize_force` calls them. They read `Grasp.contacts`, which is faster than the attributes of a
 new grasp.
@@ -15,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from grasp_env import core
-from grasp_env.grasp.grasp import Grasp
+from grasp_env.grasp.grasp import Grasp, transmitted_matrix
 from grasp_env.inputs.arguments import Array, Wrench
 
 LONGEST = 5.0
@@ -54,12 +52,7 @@ _CONVERGED = core.codes()["converged"]
 
 
 class Mistake(NamedTuple):
-    """A likely mistake.
-
-    Attributes:
-        near_certain: True if no plausible problem looks like this.
-        text: what was seen, when it may be right, and what to change.
-    """
+    """A likely mistake; `near_certain` if no plausible problem looks like this."""
 
     near_certain: bool
     text: str
@@ -79,10 +72,7 @@ def all_outward(grasp: Grasp) -> list[Mistake]:
 
 
 def some_outward(grasp: Grasp) -> list[Mistake]:
-    """Judge normals of which some point outwards, if turning these round allows a squeeze.
-
-    Turning all normals round never changes force closure.
-    """
+    """Judge normals of which some point outwards, if turning these round allows a squeeze."""
     away = _away(grasp)
     models = grasp.models
     if not away.any() or away.all() or _can_squeeze(grasp.contacts):
@@ -248,7 +238,7 @@ def coincident(grasp: Grasp) -> list[Mistake]:
 
 
 def condition(grasp: Grasp) -> list[Mistake]:
-    """Judge a G that is singular or nearly so."""
+    """Judge a G that is nearly singular."""
     if grasp.rank < 6:
         text = (
             f"rank(G) = {grasp.rank} < 6: the contacts balance only some wrenches, and contacts on a line none with a moment about that "
@@ -274,9 +264,8 @@ def condition(grasp: Grasp) -> list[Mistake]:
 
 def _condition_number(grasp: Grasp, about: Array) -> float:
     """Return the condition number of G, moments about `about` (3,) [m] divided by the length."""
-    matrix = grasp.matrix * grasp.models.transmitted.reshape(-1)
-    whole = np.concatenate([matrix, grasp.torsion_matrix * grasp.length], axis=1)
-    whole[3:] -= np.cross(about, whole[:3].T).T
-    whole[3:] /= grasp.length
-    values = np.linalg.svd(whole, compute_uv=False)
+    matrix = transmitted_matrix(grasp, grasp.length)
+    matrix[3:] -= np.cross(about, matrix[:3].T).T
+    matrix[3:] /= grasp.length
+    values = np.linalg.svd(matrix, compute_uv=False)
     return float(values[0] / values[-1])

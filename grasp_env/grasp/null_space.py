@@ -20,14 +20,13 @@ def null_space_basis(grasp: Grasp, reference: Array | None = None) -> Array:
     torsions of soft contacts.
 
     Args:
-        grasp: the grasp.
+        grasp: the contacts.
         reference: (3N, null_dimension) object-frame vectors stacked contact by contact, the
             `reference_basis` of a nominal grasp; None: that of `grasp` itself.
 
     Returns:
         (3N, null_dimension) contact-frame forces (normal, o, t), stacked; G @ basis = 0, columns
-        orthonormal. The tangential rows
-        of frictionless contacts are zero.
+        orthonormal. The tangential rows of frictionless contacts are zero.
 
     Raises:
         InvalidInputError: a reference of another shape, or one whose projection loses rank.
@@ -43,9 +42,7 @@ def null_space_basis(grasp: Grasp, reference: Array | None = None) -> Array:
 
 
 def reference_basis(grasp: Grasp) -> Array:
-    """Return orthonormal object-frame internal forces (3N, null_dimension).
-
-    They are the `reference` of `null_space_basis` for nearby grasps.
+    """Return orthonormal object-frame internal forces (3N, null_dimension), for nearby grasps.
 
     The columns come from squeezes along the lines between pairs of contacts (the virtual linkage of
     Williams and Khatib, 1993). If these are not a basis of the null space (coplanar or frictionless
@@ -77,7 +74,7 @@ def reference_basis(grasp: Grasp) -> Array:
 
 
 def _internal(grasp: Grasp, forces: Array) -> Array:
-    """Return the polar factor of contact-frame `forces` (3N, K), projected on the internal forces."""
+    """Project contact-frame `forces` (3N, K) on the internal forces; return the polar factor."""
     sent = grasp.models.transmitted.reshape(-1)
     # the right singular vectors of what G transmits, without those of zero singular values, span
     # what is not internal: the pseudoinverse would not do, since it may need torsions

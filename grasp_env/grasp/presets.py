@@ -5,32 +5,24 @@ from __future__ import annotations
 from grasp_env.grasp.grasp import Grasp
 from grasp_env.inputs.arguments import Array, choice
 
-_CONTACTS: dict[str, tuple[list[list[float]], list[list[float]], float]] = {
-    # a thumb on one z face of a 0.1 m cuboid, three fingers on the other (the paper's Sec. IV,
-    # placement ours)
-    "paper_cuboid": (
-        [[0.0, 0.0, -0.05], [0.0, 0.03, 0.05], [-0.03, -0.02, 0.05], [0.03, -0.02, 0.05]],
-        [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [0.0, 0.0, -1.0], [0.0, 0.0, -1.0]],
-        0.4,
-    ),
-    # three fingers around a disc of 40 mm radius
+_Contacts = tuple[list[list[float]], list[list[float]], float]
+"""Positions, normals, friction."""
+
+
+def _cuboid(*fingers: tuple[float, float]) -> _Contacts:
+    """Return a thumb on one z face of a 0.1 m cuboid, and fingers at (x, y) on the other."""
+    positions = [[0.0, 0.0, -0.05], *([x, y, 0.05] for x, y in fingers)]
+    return positions, [[0.0, 0.0, 1.0], *([0.0, 0.0, -1.0] for _ in fingers)], 0.4
+
+
+_CONTACTS: dict[str, _Contacts] = {
+    "paper_cuboid": _cuboid((0.0, 0.03), (-0.03, -0.02), (0.03, -0.02)),
     "tripod": (
         [[0.04, 0.0, 0.0], [-0.02, 0.034641016151377546, 0.0], [-0.02, -0.034641016151377546, 0.0]],
         [[-1.0, 0.0, 0.0], [0.5, -0.8660254037844386, 0.0], [0.5, 0.8660254037844386, 0.0]],
         0.5,
     ),
-    # a thumb against four fingers on the same cuboid
-    "five_finger_cuboid": (
-        [
-            [0.0, 0.0, -0.05],
-            [-0.03, 0.03, 0.05],
-            [0.03, 0.03, 0.05],
-            [-0.03, -0.03, 0.05],
-            [0.03, -0.03, 0.05],
-        ],
-        [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [0.0, 0.0, -1.0], [0.0, 0.0, -1.0], [0.0, 0.0, -1.0]],
-        0.4,
-    ),
+    "five_finger_cuboid": _cuboid((-0.03, 0.03), (0.03, 0.03), (-0.03, -0.03), (0.03, -0.03)),
 }
 PRESETS = tuple(_CONTACTS)
 """Names of the presets."""
@@ -53,7 +45,7 @@ def preset(name: str, friction: float | Array | None = None) -> Grasp:
 def paper_cuboid(friction: float | Array | None = None) -> Grasp:
     """Return the paper's grasp: thumb at -z, three fingers at +z of a 0.1 m cuboid, mu = 0.4.
 
-    `friction` is as in `preset`.
+    The paper does not give the places of the fingers; `friction` is as in `preset`.
 
     Example:
         >>> paper_cuboid().positions[0]

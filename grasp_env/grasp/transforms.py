@@ -16,8 +16,7 @@ from grasp_env.inputs import ranges
 from grasp_env.inputs.arguments import Array, Wrench, as_array, as_wrenches, positive
 
 ROTATION_TOLERANCE = 1e-6
-"""Largest difference of R^T R from the identity, enough for single precision; R is then made
-orthonormal."""
+"""Largest difference of R^T R from the identity, enough for single precision."""
 GRAVITY: tuple[float, float, float] = (0.0, 0.0, -9.81)
 """Gravitational acceleration in a world whose z axis points up [m/s^2]."""
 
@@ -25,8 +24,7 @@ GRAVITY: tuple[float, float, float] = (0.0, 0.0, -9.81)
 def transform_wrench(wrench: ArrayLike, rotation: ArrayLike, translation: ArrayLike) -> Array:
     """Express wrenches in another frame (the adjoint of Murray, Li, Sastry 1994).
 
-    F_A = R F_B and m_A = R m_B + p x F_A, where m_B is about the origin of B and m_A about the
-    origin of A.
+    F_A = R F_B and m_A = R m_B + p x F_A.
 
     Args:
         wrench: (..., 6) force [N] and moment about the origin of B [N m], in B's coordinates.
@@ -46,35 +44,21 @@ def transform_wrench(wrench: ArrayLike, rotation: ArrayLike, translation: ArrayL
     """
     force, moment = _split(wrench)
     turn = checked_rotation(rotation)
+    shift = as_array(translation, (3,), "translation", ranges.SIZE)
     force_a = force @ turn.T
-    return np.concatenate(
-        [
-            force_a,
-            moment @ turn.T
-            + np.cross(as_array(translation, (3,), "translation", ranges.SIZE), force_a),
-        ],
-        -1,
-    )
+    return np.concatenate([force_a, moment @ turn.T + np.cross(shift, force_a)], -1)
 
 
 def transformed(grasp: Grasp, rotation: ArrayLike, translation: ArrayLike) -> Grasp:
-    """Return the same contacts in another frame.
+    """Return the contacts of a grasp in frame B in another frame A.
 
     The tangents are rotated too, so contact forces (normal, o, t) keep their components:
     `transformed(grasp, R, p).wrench(f)` equals `transform_wrench(grasp.wrench(f), R, p)` for every
-    f. A force that balances w also balances the transformed w.
-
-    Args:
-        grasp: contacts in frame B.
-        rotation: (3, 3) R, columns are the axes of B in A.
-        translation: (3,) p, the origin of B in A [m].
-
-    Returns:
-        The grasp in frame A, with the same contact models and friction.
+    f. `rotation` and `translation` are as there.
 
     Raises:
-        InvalidInputError: wrong shapes, values that are not finite, a matrix that is not a
-            rotation, or a translation so long that moments about A's origin are lost in rounding.
+        InvalidInputError: as there, or a translation so long that moments about A's origin are lost
+            in rounding.
 
     Example:
         >>> from grasp_env.grasp import presets
@@ -127,8 +111,7 @@ def gravity_wrench(
         (6,) force [N] and moment about the object origin [N m], object frame.
 
     Raises:
-        InvalidInputError: a mass <= 0, wrong shapes, values that are not finite, or a matrix that
-            is not a rotation.
+        InvalidInputError: a mass <= 0, or as in `transform_wrench`.
 
     Example:
         >>> gravity_wrench(0.2, com=[0.01, 0, 0])
@@ -141,11 +124,7 @@ def gravity_wrench(
 
 
 def checked_rotation(rotation: ArrayLike, name: str = "rotation") -> Array:
-    """Return a rotation matrix (3, 3), orthonormal to rounding.
-
-    Raises:
-        InvalidInputError: not (3, 3), not finite, not orthonormal to 1e-6, or a reflection.
-    """
+    """Return a rotation matrix (3, 3), made orthonormal to rounding."""
     matrix = as_array(rotation, (3, 3), name, ranges.SIZE)
     gram = matrix.T @ matrix
     off = float(np.abs(gram - np.eye(3)).max())

@@ -28,9 +28,9 @@ MAGNITUDE_LENGTH = 0.05
 
 
 def paper_path(time: ArrayLike) -> Array:
-    """Return the wrench W_ext(t) of the paper's Sec. IV.B.
+    """Return the wrench W_ext(t) of the paper's Sec. IV.B, (6,) or (T, 6) [N, N m].
 
-    It is (6,) or (T, 6) [N, N m], at `time`, a scalar or (T,) [s]; its example ends at 2.
+    `time` is a scalar or (T,) [s]; the paper's example ends at 2.
 
     Example:
         >>> paper_path(0.0)

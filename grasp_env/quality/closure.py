@@ -14,10 +14,10 @@ import numpy as np
 from grasp_env.core import CLEAR
 from grasp_env.errors import NotConvergedError
 from grasp_env.force.limits import ForceLimits, as_limits
-from grasp_env.force.proof import contact_motions, least_normal_motions, transmitted_matrix
+from grasp_env.force.proof import contact_motions, least_normal_motions
 from grasp_env.force.record import CONVERGED, INFEASIBLE
 from grasp_env.grasp.advice import advise
-from grasp_env.grasp.grasp import Grasp, as_grasp
+from grasp_env.grasp.grasp import Grasp, as_grasp, transmitted_matrix
 from grasp_env.inputs.arguments import Array, ContactForces
 from grasp_env.quality.feasibility import deepest
 
@@ -35,8 +35,8 @@ class ForceClosure:
             the given limits.
         margin: the largest m such that some internal force with sum u_i = 1 - m has depth m in
             every cone: u_i - |(o, t)_i| >= m and, for soft contacts, u_i - |torsion_i| mu_i /
-            gamma_i >= m, with u = mu * normal. It has no unit and lies between 0 (no closure) and 1
-            / (N + 1) (no tangential force needed, all u_i equal). With limits A f <= b, the force
+            gamma_i >= m, with u = mu * normal. It has no unit and lies between 0 (no closure) and
+            1 / (N + 1) (no tangential force needed, all u_i equal). With limits A f <= b, the force
             is x / r, sum u + r = 1, r >= m and A x + m <= r b with rows of length one; m can then
             be negative.
         force: (N, 3) the witness of closure: an internal force strictly inside the cones and limits
@@ -49,9 +49,8 @@ class ForceClosure:
             v. None if closed.
         error: residual of the witness. Closed: largest |component| of G f relative to sum |f|. Not
             closed: largest violation of the dual cones, relative to the largest G_i^T v, or if
-            rank(G) < 6, to the terms of G_i^T v. It is nan if the limits, not the cones, exclude
-            internal forces. Then the iterations converged to margin < 0, and there was no further
-            check.
+            rank(G) < 6, to the terms of G_i^T v. It is nan, and unchecked, if the limits, not the
+            cones, exclude internal forces (margin < 0).
         help: the result in words.
     """
 
@@ -135,7 +134,7 @@ def force_closure(grasp: Grasp, limits: ForceLimits | None = None) -> ForceClosu
 
 
 def _rank_lost(grasp: Grasp) -> ForceClosure:
-    """Return the result for contacts that cannot balance wrenches of every direction."""
+    """Return the result for rank(G) < 6."""
     sent = transmitted_matrix(grasp)
     twist = grasp.unit_frame.T @ np.linalg.svd(grasp.unit_frame @ sent)[0][:, -1]
     twist /= np.abs(twist).max()

@@ -21,8 +21,8 @@ class Feasibility:
 
     Attributes:
         force: (N, 3) a balanced force strictly inside the cones and limits [N]; None if infeasible.
-            A wrench within 1e-9 of itself of the boundary of what contacts and limits can balance
-            is balanced to that accuracy.
+            Close to the boundary of what contacts and limits can balance, it is balanced to 1e-9 of
+            the wrench.
         torsion: (N,) torsions of soft contacts [N m]; None if infeasible.
         certificate: (6,) a twist v with G_i^T v in every dual cone and v . w > 0, so that balance G
             f + w = 0 is impossible. With limits, v . w > -v . G f for every force within them. For
@@ -43,14 +43,11 @@ class Feasibility:
 
 
 class Deepest(NamedTuple):
-    """Result of `deepest`.
+    """Result of `deepest`: the fields of `Feasibility` with the code and iterations of the core.
 
     Attributes:
         code: CONVERGED: `force` and `torsion` are strictly inside cones and limits; INFEASIBLE: no
             force is; others: undecided.
-        iterations: iterations of the interior-point method.
-        margin: the margin m, see `feasibility`.
-        force, torsion: (N, 3) [N] and (N,) [N m].
         twist: (6,) the separating twist if the margin is not positive; its largest component is
             one.
     """
@@ -99,9 +96,6 @@ def feasibility(grasp: Grasp, wrench: Wrench, limits: ForceLimits | None = None)
 def deepest(grasp: Grasp, wrench: Wrench, limits: ForceLimits | None = None) -> Deepest:
     """Return the core's result for checked arguments; see `feasibility`."""
     n = grasp.n_contacts
-    problem = core.Problem(grasp.contacts, None, core_limits(limits, n))
-    solver = core.ForceOptimizer(problem)
-    force = np.empty((n, 3))
-    torsion = np.empty(n)
-    twist = np.empty(6)
-    return Deepest(*solver.deepest(wrench, force, torsion, twist), force, torsion, twist)
+    solver = core.ForceOptimizer(core.Problem(grasp.contacts, None, core_limits(limits, n)))
+    results = np.empty((n, 3)), np.empty(n), np.empty(6)
+    return Deepest(*solver.deepest(wrench, *results), *results)

@@ -7,8 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from grasp_env.force.options import CRITERIA
-from grasp_env.grasp.grasp import Grasp, as_grasp
+from grasp_env.grasp.grasp import Grasp, as_grasp, transmitted_matrix
 from grasp_env.inputs import ranges
 from grasp_env.inputs.arguments import Array, Wrench, positive
 from grasp_env.quality.closure import force_closure
@@ -43,8 +42,8 @@ def epsilon(
 
     Epsilon is the radius of the largest ball {w: |F|^2 + |M|^2 / length^2 <= epsilon^2}, moments
     about the object origin, whose wrenches are balanced by forces whose sum of normals is <= 1 N
-    (their Q_1) or whose normals are all <= 1 N (their Q_infinity). It is the inverse of the least
-    force at the worst wrench of the unit ball, see `worst_case`. It is 0 without force closure.
+    (their Q_1) or whose normals are all <= 1 N (their Q_infinity). It is the inverse of the cost of
+    the worst wrench of the unit ball, see `worst_case`. It is 0 without force closure.
 
     Args:
         grasp: the contacts, of any models.
@@ -62,21 +61,17 @@ def epsilon(
         >>> low, high, float(abs(wrench[5]))
         (0.2500, 0.2500, 0.02)
     """
-    scale = (
-        as_grasp(grasp).length or 1.0
-        if length is None
-        else positive(length, "length", ranges.LENGTH)
-    )
+    ball = WrenchBall(1.0, _length(grasp, length))
     worst = worst_case(
-        grasp,
-        WrenchBall(1.0, scale),
-        criterion,
-        tolerance=tolerance,
-        starts=starts,
-        points=points,
-        seed=seed,
+        grasp, ball, criterion, tolerance=tolerance, starts=starts, points=points, seed=seed
     )
     return Epsilon(1.0 / worst.upper, 1.0 / worst.lower, worst.wrench)
+
+
+def _length(grasp: Grasp, length: float | None) -> float:
+    if length is None:
+        return as_grasp(grasp).length or 1.0
+    return positive(length, "length", ranges.LENGTH)
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,8 +79,7 @@ class GraspQuality:
     """Result of `quality`; moments about the object origin, divided by `length`.
 
     Attributes:
-        closure_margin: margin of the best internal force to the cones, 0 to 1 / (N + 1), no unit;
-            see `ForceClosure.margin`.
+        closure_margin: `ForceClosure.margin`, 0 to 1 / (N + 1).
         epsilon_sum: Ferrari and Canny's epsilon per newton of total normal force (1992, Q_1).
         epsilon_max: epsilon per newton of the largest normal force (Q_infinity), >= epsilon_sum.
         min_singular_value: smallest singular value of G [N per N]. It is the smallest norm of G f
@@ -106,52 +100,43 @@ class GraspQuality:
 
 
 def singular_values(grasp: Grasp, length: float | None = None) -> Array:
-    """Return the singular values (6,) of G [N per N], decreasing.
+    """Return the singular values (6,) of G [N per N], decreasing, of transmitted components.
 
     Moments and torsions are divided by `length` [m] (None: the grasp's).
-
-    Components that a contact does not transmit are left out.
 
     Example:
         >>> from grasp_env.grasp import presets
         >>> singular_values(presets.tripod()).round(3)
         array([1.732, 1.732, 1.732, 1.732, 1.225, 1.225])
     """
-    scale = (
-        as_grasp(grasp).length or 1.0
-        if length is None
-        else positive(length, "length", ranges.LENGTH)
-    )
-    transmitted = as_grasp(grasp).matrix * grasp.models.transmitted.reshape(-1)
-    whole = np.concatenate([transmitted, grasp.torsion_matrix * scale], axis=1)
-    whole[3:] /= scale
-    return np.asarray(np.linalg.svd(whole, compute_uv=False), dtype=np.float64)
+    scale = _length(as_grasp(grasp), length)
+    matrix = transmitted_matrix(grasp, scale)
+    matrix[3:] /= scale
+    return np.asarray(np.linalg.svd(matrix, compute_uv=False), dtype=np.float64)
 
 
 def quality(
     grasp: Grasp, *, tolerance: float = 0.01, starts: int = 32, points: int = 400, seed: int = 0
 ) -> GraspQuality:
-    """Return the quality measures of a grasp of any models.
-
-    `worst_case` documents tolerance, starts, points and seed, the options of both epsilons.
+    """Return the quality measures of a grasp; `worst_case` documents the options of the epsilons.
 
     Example:
         >>> from grasp_env.grasp import presets
-        >>> found = quality(presets.tripod())
-        >>> found.closure_margin, found.epsilon_sum.lower, found.epsilon_max.lower, found.isotropy
+        >>> tripod = quality(presets.tripod())
+        >>> tripod.closure_margin, tripod.epsilon_sum.lower, tripod.epsilon_max.lower, tripod.isotropy
         (0.25, 0.29, 0.67, 0.71)
     """
-    epsilons = {
-        criterion: epsilon(
+    by_sum, by_max = (
+        epsilon(
             grasp, None, criterion, tolerance=tolerance, starts=starts, points=points, seed=seed
         )
-        for criterion in CRITERIA
-    }
+        for criterion in ("sum", "max")
+    )
     values = singular_values(grasp)
     return GraspQuality(
         force_closure(grasp).margin,
-        epsilons["sum"],
-        epsilons["max"],
+        by_sum,
+        by_max,
         float(values[-1]),
         float(values[-1] / values[0]),
         grasp.length,

@@ -60,10 +60,8 @@ SHRINK = 1e-5
 """Largest relative random shift of the inner hull's points towards the origin; it keeps the points
 in general position."""
 JOGGLE = 1e-9
-"""Largest random shift of a coordinate by Qhull (option QJ); the points have norms of about 1.
-
-To keep the bound valid, 100 times this shift is subtracted from every facet's distance to the
-origin."""
+"""Largest random shift of a coordinate by Qhull (option QJ); the points have norms of about 1. The
+bound subtracts 100 times this shift from every facet's distance to the origin."""
 BATCH = 8
 """Number of facets refined at once."""
 
@@ -132,9 +130,7 @@ class WrenchBall:
 
 
 class WorstCase(NamedTuple):
-    """Result of `worst_case`.
-
-    The cost of the worst wrench of the set lies between `lower` and `upper`, certified by duality.
+    """Result of `worst_case`: the largest cost lies between `lower` and `upper`, by duality.
 
     Attributes:
         wrench: (6,) the worst wrench found [N, N m].
@@ -151,22 +147,15 @@ class WorstCase(NamedTuple):
 
     @property
     def least_force(self) -> float:
-        """Cost of `wrench` [N] to the solver's tolerance; inf if infeasible.
-
-        It is the smallest sum or maximum of the normal forces.
-        """
+        """Cost of `wrench` [N] to the solver's tolerance; inf if infeasible."""
         return self.lower if self.solution is None else self.solution.objective
 
     @property
     def gap(self) -> float:
         """Relative gap (upper - lower) / lower."""
-        return (
-            0.0
-            if self.lower == np.inf
-            else self.upper / self.lower - 1.0
-            if self.lower > 0.0
-            else np.inf
-        )
+        if self.lower == np.inf:
+            return 0.0
+        return self.upper / self.lower - 1.0 if self.lower > 0.0 else np.inf
 
 
 def worst_case(
@@ -191,9 +180,8 @@ def worst_case(
             the wrenches, since the cost is convex.
         criterion: size of a force: "sum" or "max" of its normal forces.
         limits: further limits. For a ball, `upper` is then the largest bound over the vertices of
-            an outer polytope. The polytope contains the ball and reaches at most 10 % (product) or
-            12 % (ellipsoid) beyond it. `upper` is inf if no force within the limits was found for
-            some vertex.
+            an outer polytope, which reaches at most 10 % (product) or 12 % (ellipsoid) beyond the
+            ball. `upper` is inf if no force within the limits was found for some vertex.
         tolerance: relative gap at which the refinement of the upper bound ends, not below 1e-4;
             without limits only.
         starts: number of random directions in which an ascent starts, besides the twelve along the
@@ -268,10 +256,7 @@ def _solve(optimizer: ForceOptimizer, wrench: Wrench) -> WorstCase:
 
 
 def _ascend(optimizer: ForceOptimizer, ball: WrenchBall, wrench: Wrench) -> WorstCase:
-    """Replace w by the wrench of the ball with the largest -n . w until the bound stops rising.
-
-    n are the multipliers at w.
-    """
+    """Replace w by the wrench with the largest -n . w, n its multipliers, until the bound stops."""
     best = _solve(optimizer, wrench)
     for _ in range(50):
         if best.lower == np.inf or best.solution is None or not best.solution.multipliers.any():
@@ -291,10 +276,7 @@ def _refine_hull(
     points: int,
     rng: np.random.Generator,
 ) -> WorstCase:
-    """Refine the upper bound by a growing inner hull, for a grasp with force closure.
-
-    Wrenches are scaled to a unit ball.
-    """
+    """Refine the upper bound by a growing inner hull, with wrenches scaled to a unit ball."""
     grasp = optimizer.grasp
     criterion = optimizer.options.criterion
     unit = WrenchBall(1.0, 1.0, ball.shape)
@@ -340,7 +322,7 @@ def _refine_hull(
 
 
 def _within_limits(optimizer: ForceOptimizer, ball: WrenchBall, best: WorstCase) -> WorstCase:
-    """Compute the upper bound from the vertices of an outer polytope."""
+    """Take the upper bound from the vertices of an outer polytope."""
     upper = best.upper
     for vertex in ball.enclosing():
         case = _solve(optimizer, vertex)
@@ -356,10 +338,7 @@ def _within_limits(optimizer: ForceOptimizer, ball: WrenchBall, best: WorstCase)
 
 
 def _largest_wrenches(grasp: Grasp, directions: Array, criterion: str) -> tuple[Array, Array]:
-    """Return h(n) (K,) and the maximising wrenches G f (K, 6) for the rows n (K, 6).
-
-    h(n) = max n . G f over the forces of size <= 1.
-    """
+    """Return h(n) (K,) and the maximising wrenches G f (K, 6) for the rows n (K, 6)."""
     models, count = grasp.models, grasp.n_contacts
     work = (directions @ grasp.matrix).reshape(-1, count, 3)
     tangential = work[:, :, 1:] * models.friction
