@@ -56,29 +56,24 @@ MAX_BANDWIDTH = 0.3
 class ForceLoop:
     """Optimises the contact forces at every agent step and holds the object in between.
 
-    One compiled call is one control tick, from a reading to joint torques. At an agent's step the
-    configured method solves from its start. At the other ticks Newton (conic after conic) continues
-    from the last command. Both use the current contacts of the fingers that touch; the other
-    fingers reach for their places. If the motors cannot produce a force, Newton within their limits
-    follows. If the contacts cannot balance the wrench, the forces inside the cones with the
-    smallest imbalance are commanded.
+    One compiled call is one control tick, from a reading to joint torques. The environment's
+    docstring describes what it does.
 
     Attributes:
         optimizer: the method, made for the planned contacts of all fingers.
         seen: the scene as the controller measures it.
         wrench: (6,) wrench that the forces balance [N, N m], object frame.
         torques: (M,) commanded joint torques [N m].
-        force: (N, 3) commanded contact forces [N], contact frames; frames: (N, 3, 3) columns (n, o,
-            t), object frame.
-        friction, torsional_friction: coefficients that the solver assumes; the latter in metres,
-            above 0 contacts are soft.
+        force, frames: (N, 3) commanded contact forces [N] and (N, 3, 3) their frames, as in
+            `ForceSolution`.
+        friction, torsional_friction: coefficients that the solver assumes [1], [m]; contacts are
+            soft if the second is above 0.
     """
 
     def __init__(self, config: EnvConfig, initial_force: str | InitialForceRule) -> None:
         self.config = config
         self.initial_force = initial_force
-        # no start is an error of a user's rule, but normal for a named rule while the grasp is
-        # being lost
+        # a named rule has no start while the grasp is being lost; a user's rule must have one
         named = (InfeasibleStartError,) if isinstance(initial_force, str) else ()
         self._lost_closure = (InfeasibleWrenchError, RankDeficientGraspError, *named)
         self.dt = 1.0 / config.controller.rate
@@ -96,13 +91,10 @@ class ForceLoop:
         item = scene.config.object
         hand = scene.config.hand
         config = self.config
+        controller = config.controller
         self.count = hand.finger_count
         self.scene = scene
-        factor = (
-            hand.tip_friction
-            * (1.0 + config.controller.friction_error)
-            * config.controller.friction_margin
-        )
+        factor = hand.tip_friction * (1.0 + controller.friction_error) * controller.friction_margin
         self.friction = item.friction * factor
         self.torsional_friction = item.torsional_friction * factor
         points = np.array(scene.config.contact_points)
@@ -112,9 +104,8 @@ class ForceLoop:
         settings = control_settings(config, item, scene.kinematics)
         settings.remembers = self.optimizer.remembers
         # soft tips on one line have an internal force more
-        settings.directions = (
-            reference_basis(grasp)[:, : adjustment_size(self.count)].reshape(-1).tolist()
-        )
+        directions = reference_basis(grasp)[:, : adjustment_size(self.count)]
+        settings.directions = directions.reshape(-1).tolist()
         self._core = core.Controller.make(
             scene.core, self.optimizer.core, settings, sensor_settings(config)
         )
@@ -128,18 +119,16 @@ class ForceLoop:
         arrays["home"][:] = scene.config.start_angles or hand.home
         arrays["goals"][:] = points
         arrays["inwards"][:] = normals
-        arrays["depths"][:] = (
-            config.controller.squeeze / self.count / config.controller.pd_stiffness
-        )
+        arrays["depths"][:] = controller.squeeze / self.count / controller.pd_stiffness
         self._noise = None
         self.reset()
 
     def grasp(self, points: Array, normals: Array) -> Grasp:
         """Return the grasp of points and inward normals (N, 3), with the assumed friction."""
+        if not self.torsional_friction > 0.0:
+            return Grasp.from_contacts(points, normals, self.friction)
         soft = {"contact_model": "soft", "torsional_friction": self.torsional_friction}
-        return Grasp.from_contacts(
-            points, normals, self.friction, **soft if self.torsional_friction > 0.0 else {}
-        )
+        return Grasp.from_contacts(points, normals, self.friction, **soft)
 
     def reset(self, rng: np.random.Generator | None = None) -> None:
         """Forget the episode; `rng` draws one seed for the noise (None: keep the current noise)."""
@@ -155,10 +144,7 @@ class ForceLoop:
 
     @property
     def settling(self) -> bool:
-        """True until the hand has taken over the object.
-
-        Until then every controller uses optimised forces and exact sensors.
-        """
+        """True until the hand has taken over the object, by optimised forces and exact sensors."""
         return self._settling
 
     @settling.setter
@@ -172,7 +158,7 @@ class ForceLoop:
 
     @property
     def solution(self) -> ForceSolution | None:
-        """The method's last solution; None if there is none, or no solver."""
+        """The method's last solution, or None."""
         if self._core.code not in RESULTS:
             return None
         row = self._row.copy()
@@ -195,9 +181,7 @@ class ForceLoop:
     def fingers(self) -> Indices:
         """Numbers (n,) of the fingers in contact, as the controller measures them."""
         mask = self._core.mask
-        return np.array(
-            [finger for finger in range(self.count) if mask >> finger & 1], dtype=np.int64
-        )
+        return np.array([k for k in range(self.count) if mask >> k & 1], dtype=np.int64)
 
     def begin_step(self) -> None:
         """Begin an agent's step: reset `effort`."""
@@ -233,8 +217,7 @@ class ForceLoop:
         """Run one control tick and return the joint torques (M,) [N m].
 
         Args:
-            external: (6,) external wrench [N, N m], object frame, as a perfect sensor would measure
-                it.
+            external: (6,) true external wrench [N, N m], object frame.
             gravity: (3,) gravity that the controller assumes [m/s^2], world frame.
             target: (19,) desired motion, see `env.plan.Plan`.
             due: True at the first tick of an agent's step.
@@ -257,7 +240,7 @@ class ForceLoop:
         return self._from_rule(adjustment) if by_rule else core.act(due, adjustment, None, forces)
 
     def _from_rule(self, adjustment: Array | None) -> list[float]:
-        """Run the tick of a method with a Python start rule, on the contacts as they are measured."""
+        """Run the tick of a method with a Python start rule, on the measured contacts."""
         touching = self.fingers
         try:
             grasp = Grasp.from_contacts(
@@ -276,13 +259,9 @@ class ForceLoop:
         return torques
 
     def rest(self, external: Array, gravity: Array, target: Array) -> None:
-        """Set the state of the hand at rest, before the first tick.
-
-        The measured forces become the commanded ones.
-        """
-        self._core.see(
-            None, external, gravity, target, None if self._noise is None else self._noise()
-        )
+        """Set the state of the hand at rest: the measured forces become the commanded ones."""
+        noise = None if self._noise is None else self._noise()
+        self._core.see(None, external, gravity, target, noise)
         self._core.rest()
         self._core.rewind()
 
@@ -309,7 +288,8 @@ def make_optimizer(
     On soft contacts, which the flows do not support, Newton replaces them.
     """
     soft = grasp.contacts.soft
-    method = config.solver.method
+    solver = config.solver
+    method = solver.method
     initial = initial_force
     if soft and method in FLOWS:
         method = "newton"
@@ -317,18 +297,15 @@ def make_optimizer(
         initial = None
     elif isinstance(initial, str) and initial in RULES and initial != "linear_combination":
         # made for the contacts of each call, not for the planned ones
-        initial = initial_rule(
-            initial, Objective(config.solver.force_weight, config.solver.barrier_weight)
-        )
-    barrier = None if method == "conic" else config.solver.barrier_weight
+        initial = initial_rule(initial, Objective(solver.force_weight, solver.barrier_weight))
     return ForceOptimizer(
         grasp,
         method=method,
         initial=initial,
-        force_weight=config.solver.force_weight,
-        barrier_weight=barrier,
-        tolerance=config.solver.tolerance,
-        max_iterations=config.solver.max_iterations,
+        force_weight=solver.force_weight,
+        barrier_weight=None if method == "conic" else solver.barrier_weight,
+        tolerance=solver.tolerance,
+        max_iterations=solver.max_iterations,
     )
 
 
@@ -336,41 +313,29 @@ def control_settings(
     config: EnvConfig, item: ObjectDescription, kinematics: HandKinematics
 ) -> core.ControlSettings:
     """Return the controller's settings: the object without its payload, and all gains."""
+    controller, solver = config.controller, config.solver
     tips, joints = kinematics.mobility(kinematics.home)
-    dt = 1.0 / config.controller.rate
+    dt = 1.0 / controller.rate
+
+    def reach(mobility: float) -> core.Spring:
+        damping = 2.0 * math.sqrt(REACH_STIFFNESS * max(REACH_MASS, 1.0 / mobility))
+        return stable_spring(REACH_STIFFNESS, damping, REACH_LIMIT, mobility, dt)
+
+    def posture(mobility: float) -> core.Spring:
+        damping = 2.0 * math.sqrt(POSTURE_STIFFNESS / max(mobility, 1.0))
+        damping = max(POSTURE_DAMPING, damping)
+        return stable_spring(POSTURE_STIFFNESS, damping, np.inf, mobility, dt)
+
     settings = core.ControlSettings()
     settings.body = believed_body(config, item)
-    settings.reach = [
-        stable_spring(
-            REACH_STIFFNESS,
-            2.0 * math.sqrt(REACH_STIFFNESS * max(REACH_MASS, 1.0 / mobility)),
-            REACH_LIMIT,
-            mobility,
-            dt,
-        )
-        for mobility in tips
-    ]
-    settings.spring = core.Spring(
-        config.controller.pd_stiffness, config.controller.pd_damping, np.inf
-    )
+    settings.reach = list(map(reach, tips))
+    settings.spring = core.Spring(controller.pd_stiffness, controller.pd_damping, np.inf)
     settings.reach_depth = REACH_FORCE / REACH_STIFFNESS
-    settings.posture = [
-        stable_spring(
-            POSTURE_STIFFNESS,
-            max(POSTURE_DAMPING, 2.0 * math.sqrt(POSTURE_STIFFNESS / max(mobility, 1.0))),
-            np.inf,
-            mobility,
-            dt,
-        )
-        for mobility in joints
-    ]
-    settings.set_follow(
-        config.solver.tolerance,
-        min(config.solver.max_iterations, FOLLOW_ITERATIONS),
-        config.solver.method == "conic",
-    )
-    settings.squeeze = config.controller.squeeze
-    settings.most_change = config.controller.force_rate / config.controller.rate
+    settings.posture = list(map(posture, joints))
+    iterations = min(solver.max_iterations, FOLLOW_ITERATIONS)
+    settings.set_follow(solver.tolerance, iterations, solver.method == "conic")
+    settings.squeeze = controller.squeeze
+    settings.most_change = controller.force_rate / controller.rate
     settings.release = RELEASE
     return settings
 
@@ -378,10 +343,7 @@ def control_settings(
 def stable_spring(
     stiffness: float, damping: float, limit: float, mobility: float, dt: float
 ) -> core.Spring:
-    """Return a spring and damper that are stable when sampled every `dt` [s].
-
-    The mobility is in [1/kg] or [1/(kg m^2)].
-    """
+    """Return a spring that is stable when sampled every `dt` [s]; mobility in 1 / (kg [m^2])."""
     if not mobility > 0.0:
         return core.Spring(0.0, 0.0, limit)
     return core.Spring(
@@ -393,13 +355,11 @@ def stable_spring(
 
 def believed_body(config: EnvConfig, item: ObjectDescription) -> core.Body:
     """Return the object with critically damped pose feedback, no faster than the delay allows."""
-    late = late_ticks(config) / config.controller.rate
+    controller = config.controller
+    late = late_ticks(config) / controller.rate
     most = MAX_BANDWIDTH / late if late > 0.0 else np.inf
-    return critically_damped(
-        item,
-        min(config.controller.position_bandwidth, most),
-        min(config.controller.rotation_bandwidth, most),
-    )
+    position = min(controller.position_bandwidth, most)
+    return critically_damped(item, position, min(controller.rotation_bandwidth, most))
 
 
 def critically_damped(item: ObjectDescription, push: float, turn: float) -> core.Body:

@@ -12,15 +12,16 @@ from grasp_env.inputs.arguments import Array
 
 
 def sensor_settings(config: EnvConfig) -> core.SensorSettings:
-    """Return the settings of the core's sensors; the controller knows their delay."""
+    """Return the settings of the core's sensors."""
+    sensors = config.sensors
     settings = core.SensorSettings()
-    settings.wrench = getattr(core.WrenchSource, config.sensors.wrench)
+    settings.wrench = getattr(core.WrenchSource, sensors.wrench)
     settings.tick = 1.0 / config.controller.rate
-    settings.keep = keep_factor(config.sensors.estimator_time, settings.tick)
+    settings.keep = keep_factor(sensors.estimator_time, settings.tick)
     settings.delay = late_ticks(config)
-    settings.wrench_delay = config.sensors.wrench_delay
-    settings.pose_noise = config.sensors.pose_noise
-    settings.tactile_noise = config.sensors.tactile_noise
+    settings.wrench_delay = sensors.wrench_delay
+    settings.pose_noise = sensors.pose_noise
+    settings.tactile_noise = sensors.tactile_noise
     return settings
 
 

@@ -26,7 +26,7 @@ class FingerStructure(NamedTuple):
     Attributes:
         components: (N,) number of a finger's three force components that its motors can produce.
         share: (N,) share of a finger's force that its structure carries, root mean square over the
-            loads; 0 if the motors can produce all forces.
+            loads.
     """
 
     components: Indices
@@ -34,6 +34,7 @@ class FingerStructure(NamedTuple):
 
     def warning(self, names: Sequence[str]) -> str:
         """Return a warning about fingers whose structure carries more than `MAX_CARRIED`, or ""."""
+        fingers = zip(names, self.components.tolist(), self.share.tolist(), strict=True)
         listed = ", ".join(
             f"{share:.0%} of the force of {name!r} "
             + (
@@ -41,9 +42,7 @@ class FingerStructure(NamedTuple):
                 if count < 3
                 else "(other fingers share its motors)"
             )
-            for name, count, share in zip(
-                names, self.components.tolist(), self.share.tolist(), strict=True
-            )
+            for name, count, share in fingers
             if share > MAX_CARRIED
         )
         return listed and (
@@ -58,27 +57,23 @@ def finger_structure(
 ) -> FingerStructure:
     """Return the shares of the forces that structure carries in the current posture.
 
-    Contact forces f take the motor torques J^T f. J is the Jacobian of all contacts, with coupled
-    joints and motors that several fingers share. The part of f in the null space of J^T takes no
-    torque, and no torque changes it. `wrenches` (K, 6) are loads on the object [N, N m], object
-    frame. Those that the contacts cannot balance are ignored.
+    Contact forces f take the motor torques J^T f, with J the Jacobian of all contacts. The part of
+    f in the null space of J^T takes no torque, and no torque changes it. `wrenches` (K, 6) are
+    loads on the object [N, N m], object frame. Those that the contacts cannot balance are ignored.
     """
     count = len(snapshot.points)
     motors = kinematics.motors
-    turn = snapshot.rotation
     jacobian = kinematics.statics(snapshot.angles, snapshot.touch)[0][:, :, motors]
     span = motor_force_basis(jacobian.reshape(3 * count, len(motors)))
     if span.shape[1] == 3 * count:
         return FingerStructure(np.full(count, 3), np.zeros(count))
-    components: Indices = np.array(
-        [motor_force_basis(part).shape[1] for part in jacobian], dtype=np.int64
-    )
+    components = np.array([motor_force_basis(rows).shape[1] for rows in jacobian], dtype=np.int64)
     optimal = optimize_forces(grasp, wrenches, workers=1).force
-    forces = np.einsum(
-        "nij,mnj->mni", turn @ grasp.frames, optimal[np.isfinite(optimal).all(axis=(1, 2))]
-    ).reshape(-1, 3 * count)
+    optimal = optimal[np.isfinite(optimal).all(axis=(1, 2))]
+    forces = np.einsum("nij,mnj->mni", snapshot.rotation @ grasp.frames, optimal)
+    forces = forces.reshape(-1, 3 * count)
     carried = forces - forces @ span @ span.T
-    parts = [(part.reshape(-1, count, 3) ** 2).sum(axis=(0, 2)) for part in (carried, forces)]
-    share = np.sqrt(parts[0] / np.maximum(parts[1], np.finfo(float).tiny))
+    squares = [(f.reshape(-1, count, 3) ** 2).sum(axis=(0, 2)) for f in (carried, forces)]
+    share = np.sqrt(squares[0] / np.maximum(squares[1], np.finfo(float).tiny))
     # shared motors couple the fingers: the carried part of one may exceed its own force
     return FingerStructure(components, np.minimum(share, 1.0))

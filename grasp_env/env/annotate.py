@@ -1,4 +1,4 @@
-"""Annotations of an environment's pictures: forces, cones, the wrench, the episode's state."""
+"""Annotations of an environment's pictures."""
 
 from __future__ import annotations
 
@@ -48,12 +48,10 @@ PALETTE = np.array(
         (0.50, 0.55, 0.30),
     ]
 )
-"""Colours of the fingers of a hand of one colour: red, green and blue in [0, 1]; they repeat after
-eight."""
+"""Colours of the fingers of a hand of one colour, repeated."""
 
 LEAST_FORCE, LEAST_MOMENT = 0.1, 0.02
-"""Smallest force [N] and moment [N m] that set the scale, so that rounding errors are not drawn as
-long arrows."""
+"""Smallest force [N] and moment [N m] that set the scale, so that rounding errors stay small."""
 
 _ALIKE = 0.1  # largest difference between colours that count as equal
 
@@ -61,9 +59,8 @@ _ALIKE = 0.1  # largest difference between colours that count as equal
 class Annotator:
     """Makes the annotations of one environment's pictures, with its `resolved` settings.
 
-    The scales follow from the largest force and moment in the plan of an episode, known at reset.
-    They stay constant within an episode. A later episode with larger forces makes them smaller;
-    they never grow. `pictures.force` and `pictures.moment` fix them.
+    The scales follow from the largest force and moment in the plans of all episodes so far, or from
+    `pictures.force` and `pictures.moment`. They stay constant within an episode and never grow.
     """
 
     def __init__(self, config: EnvConfig, hand: HandDescription) -> None:
@@ -93,10 +90,7 @@ class Annotator:
     def __call__(
         self, loop: ForceLoop, scene: Scene, time: float, outcome: Outcome, failure: str
     ) -> Annotation:
-        """Return the annotation of the current picture, `time` [s] after the reset.
-
-        `failure` is "" while the object is held.
-        """
+        """Return the annotation of the current picture, `time` [s] after the reset."""
         snapshot = scene.look()
         solution = loop.solution
         to_world = snapshot.rotation
@@ -133,12 +127,10 @@ def title(config: EnvConfig) -> str:
         >>> title(EnvConfig(disturbance="tilting_gravity").resolved())
         'hold: tilting gravity'
     """
-    name = name_of(config.disturbance)
+    name, task = name_of(config.disturbance), config.task
     disturbance = DISTURBANCES.get(name, name).strip("_").replace("_", " ")
-    what = [
-        text for text in (config.task.caption.format_map(vars(config.task)), disturbance) if text
-    ]
-    return f"{config.task.name.replace('_', ' ')}{': ' if what else ''}{', '.join(what)}"
+    details = ", ".join(filter(None, (task.caption.format_map(vars(task)), disturbance)))
+    return task.name.replace("_", " ") + (details and f": {details}")
 
 
 def _wrenches(plan: Plan, scene: Scene) -> Array:
@@ -164,11 +156,12 @@ def _largest(config: EnvConfig, scene: Scene, wrenches: Array, friction: float) 
     worst = int(loads.argmax())
     try:
         grasp = Grasp.from_contacts(points, scene.config.contact_normals, friction)
+        solver = config.solver
         solution = optimize_force(
             grasp,
             wrenches[worst],
-            force_weight=config.solver.force_weight,
-            barrier_weight=config.solver.barrier_weight,
+            force_weight=solver.force_weight,
+            barrier_weight=solver.barrier_weight,
         )
         return float(np.linalg.norm(solution.force, axis=1).max())
     except GraspError:  # two fingers, which need torsion: each holds half of the wrench by friction

@@ -1,8 +1,4 @@
-"""`FourFingerGrasp-v0`: a simulated hand with grasp forces that are optimised at every step.
-
-It contains the environment, whose class docstring is its manual, and what `gym.make` calls to
-complete it.
-"""
+"""`FourFingerGrasp-v0`: a simulated hand with grasp forces that are optimised at every step."""
 
 from __future__ import annotations
 
@@ -50,21 +46,20 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
 
     ## Step
     The agent acts at 50 Hz, the controller at 250 Hz, the physics at that rate or faster (see
-    `EnvConfig`). A control tick reads the contacts from the simulator and builds the grasp matrix G
-    from the fingers that touch. The wrench to balance is the external wrench plus gravity plus pose
-    feedback, minus the wrench that accelerates the object along its target motion. The ticks differ
-    in how they find the forces:
+    `EnvConfig`). A control tick reads the contacts of the fingers that touch. The wrench to balance
+    is the external wrench plus gravity plus pose feedback, minus the wrench that accelerates the
+    object along its target motion. The ticks differ in how they find the forces:
 
     - First tick of a step: the initial force comes from the start rule (by default the paper's
       linear combination of 12 offline optima) plus the action. The method optimises it: by default
       the reduced gradient flow, on soft contacts Newton, because the flows do not support them.
-    - Other ticks: Newton, or the conic solver if `method` is "conic", re-optimises the forces.
-      Newton starts from the last command. `info["followed"]` counts the iterations.
+    - Other ticks: Newton from the last command, or the conic solver if `method` is "conic".
+      `info["followed"]` counts the iterations.
 
     The forces become joint torques. A finger without contact reaches for its place. When a finger
-    slips off or lands, the forces of all others change at the next tick. They restore balance at
-    once. Any further change of a force component is limited to `controller.force_rate` [N/s],
-    unless the torque limits require more.
+    slips off or lands, the forces of all others restore balance at the next tick. Any further
+    change of a force component is limited to `controller.force_rate` [N/s], unless the torque
+    limits require more.
 
     Torques stay within the motors' limits, reduced by the torques that carry the links' weight. If
     a force needs more, Newton within the limits continues from it in the same control tick
@@ -75,9 +70,8 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     - Such forces exist, but none within the torque limits: the one that exceeds the limits least is
       commanded, and its torques are clipped to the limits (`info["saturated"]`).
 
-    A finger with fewer than three motors (missing or coupled joints) can actively control only the
-    force components that its motors can produce. Its rigid links and joints carry the remaining
-    components passively. The controller does not set these passive forces; the physics engine does.
+    The motors of a finger with missing or coupled joints control only some components of its force.
+    Its rigid links carry the others passively, as the physics engine determines.
 
     The grasp is simulated: the fingers close on a supported object, and the support is then
     removed. At the start of an episode the contact forces balance the weight within 1 %. If
@@ -87,8 +81,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     ## Tasks
     `Hold()` against `disturbance`, `Move(motion)`, `Payload()` (the mass grows), `SixDirections()`
     (pushes of 10 N/kg). A disturbance is a record such as `RandomWrench()`, its name, or any
-    function f(times, rng, settings) -> (T, 6) wrenches [N, N m], one for each control tick; see
-    `grasp_env.task.Disturbance`.
+    function; see `grasp_env.task.Disturbance`.
 
     ## Action space
     `Box(-1, 1, float32)`, clipped; `agent.action_mode` gives its meaning and shape:
@@ -97,9 +90,8 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
       (null-space coordinates, times `action_scale` newtons). The six directions of the four-finger
       hand are squeezes along the lines between two contacts (thumb-middle, thumb-left, thumb-right,
       middle-left, middle-right, left-right), orthonormalised. They move continuously with the
-      contacts; with fewer contacts they are projected. The solver searches the segment from the
-      start rule's force to the adjusted force, and starts from the point with the smallest Phi.
-      With the zero action this is the rule's own force, by default the paper's start.
+      contacts; with fewer contacts they are projected. The solver starts from the point with the
+      smallest Phi on the segment from the start rule's force to the adjusted one.
     - "contact_force" (3N,): the contact forces themselves, without a solver: per finger normal in
       [0, 2 `action_scale`], o and t in +-`action_scale`.
     - "none" (1,): ignored.
@@ -141,28 +133,25 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     - `force_change`: sum |f - f0| / sum (|f| + |f0|) over the components of the commanded forces f
       after and f0 before the step.
 
-    The weights add up to at most 0.9, so every step in which the object is not lost pays more than
-    0. The step that loses the object pays -`failure_cost`, by default 0. The terms
-    `info["reward/held"]`, `info["reward/iterations"]`, ... add up to the reward.
+    The weights add up to at most 0.9, so every such step pays more than 0. The step that loses the
+    object pays -`failure_cost`, by default 0. The terms `info["reward/held"]`,
+    `info["reward/iterations"]`, ... add up to the reward.
 
     ## Episode end
     An episode is terminated when the object is lost. `info["failure"]` is the reason:
 
     - "dropped": it is farther from its target pose than `limits.max_drift` or `limits.max_tilt`.
     - "closure_lost": no forces balanced the wrench for longer than `limits.max_contact_gap`.
-    - "force_optimisation": the optimisation failed, for example because a user's start rule does
-      not fit.
+    - "force_optimisation": the optimisation failed, for example in a user's start rule.
     - "simulation_diverged": the simulator's state is no longer finite or the object is far away.
 
     An episode is truncated after `limits.duration`, by default that of the task (hold 2 s, move and
     payload 4 s, six_directions 12 s).
 
-    `is_success` is stricter than "not lost". Since reset no fingertip may have slid on the object
-    by more than `limits.max_slide` or penetrated it by more than `limits.max_overlap`, and the
-    force of other parts of the hand on the object may not have exceeded `limits.max_stray` as a
-    fraction of the load. The load is |external force + weight|, but at least the weight.
-    `info["fault"]` is the first reason why the object does not count as held, "" if it does: the
-    `failure`, "drifted" (beyond the task's own limits), "slid", "overlap" or "stray_force".
+    `is_success` is stricter than "not lost": the task's own limits, `limits.max_slide`,
+    `limits.max_overlap` and `limits.max_stray` must be met since reset. `info["fault"]` is the
+    first reason why the object does not count as held, "" if it does: the `failure`, "drifted"
+    (beyond the task's own limits), "slid", "overlap" or "stray_force".
 
     ## Info
     Every reset and step returns the same keys:
@@ -191,7 +180,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     | `torque_margin` | | N m | smallest distance of a torque from its limit in the step |
     | `torque_share` | | 1 | largest absolute torque of the step as a fraction of its limit |
     | `saturated` | | bool | torques were clipped: no force within the limits balances the wrench |
-    | `structure_share` | (N,) | 1 | fraction of each finger's force that its motors cannot produce, for the loads of this episode; computed at reset, one warning if above 0.65 |
+    | `structure_share` | (N,) | 1 | fraction of each finger's force that its motors cannot produce, for the loads of this episode; one warning if above 0.65 |
     | `time` | | s | time since reset |
     | `object_mass`, `object_friction` | | kg, 1 | mass; friction coefficient between object and fingertips |
     | `object_shape`, `object_size` | | str, m | shape and largest extent |
@@ -202,9 +191,9 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     `agent={"info": "numbers"}` leaves the strings out and makes arrays of all numbers, for readers
     such as torchrl's.
 
-    `force_closure` is tested only where forces are optimised. It is always True with the
-    controllers "constant_squeeze" and "pd" and with the action mode "contact_force". "pd" commands
-    no forces: its `commanded_force` and the force terms are 0.
+    `force_closure` is always True where forces are not optimised: with the controllers
+    "constant_squeeze" and "pd" and the action mode "contact_force". "pd" commands no forces: its
+    `commanded_force` and the force terms are 0.
 
     ## Reset options
     `options={"wrench": (6,)}` replaces the episode's external wrench by a constant one [N, N m].
@@ -221,8 +210,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         episode: the settings of the current episode, including drawn ones.
 
     Raises:
-        UnknownNameError: an unknown task, shape, ...; the message lists the known ones.
-        UnknownSettingError: an unknown keyword; also a TypeError.
+        UnknownNameError, UnknownSettingError: see `EnvConfig.override`.
         InvalidInputError: a value out of range, contacts off the surface or out of reach, a mesh
             that cannot be closed.
         SimulationError: the hand cannot hold the object, or there is no display for a window.
@@ -268,14 +256,8 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         self._action_shape = (action_size(config.agent.action_mode, tips),)
         self.action_space = gym.spaces.Box(-1.0, 1.0, self._action_shape, dtype=np.float32)
         self._ticks_per_step = config.controller.rate // config.agent.rate
-        limits = config.limits
-        assert limits.duration is not None
-        assert limits.max_drift is not None
-        assert limits.max_tilt is not None
-        self._max_drift = limits.max_drift
-        self._max_tilt = limits.max_tilt
-        self._max_time_without_closure = limits.max_contact_gap
-        self._step_limit = max(1, round(limits.duration * config.agent.rate))
+        self._limits: Any = config.limits  # None is resolved
+        self._step_limit = max(1, round(self._limits.duration * config.agent.rate))
         self._camera: Camera | None = None
         self._window: Painter | None = None
         self._started = self._ended = self._warned = False
@@ -328,7 +310,6 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
             "object_size": max(item.extent),
             "redrawn": stage.redrawn,
         }
-        # the stage has set the nominal gravity, which the plan may replace by another constant
         self._gravity_differs = not (plan.gravity == self._nominal_gravity).all()
         self._mass_differs = not (plan.mass_factor == 1.0).all()
         self._last_row = len(plan) - 1
@@ -389,8 +370,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     def render(self) -> NDArray[np.uint8] | None:
         """Return an (H, W, 3) picture in "rgb_array" mode; update the window in "human" mode.
 
-        Without a `render_mode` it returns None with Gymnasium's warning, in every state of the
-        environment.
+        Without a `render_mode` it returns None with Gymnasium's warning.
 
         Raises:
             SimulationError: the environment is closed.
@@ -403,20 +383,18 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
             return None
         scene = self._stage_or_raise().scene
         annotation = self._annotation(scene)
-        if self.render_mode == "human" and annotation is not None:
-            window: Painter = self._window or class_of(scene.config.engine, "painter").of_scene(
-                scene
-            )
-            window.show(annotation)
-            self._window = window
-        if self.render_mode != "rgb_array":
+        if self.render_mode == "human":
+            if annotation is not None:
+                if self._window is None:
+                    self._window = class_of(scene.config.engine, "painter").of_scene(scene)
+                window: Any = self._window
+                window.show(annotation)
             return None
         if self._camera is None:
-            width, height = self.config.pictures.size
-            margin, footer = room(width, height)
-            self._camera = Camera(
-                scene, CameraConfig(width, height, margin=margin, footer=footer, arrows=LONGEST)
-            )
+            size = self.config.pictures.size
+            margin, footer = room(*size)
+            config = CameraConfig(*size, margin=margin, footer=footer, arrows=LONGEST)
+            self._camera = Camera(scene, config)
         return self._camera.capture(annotation)
 
     @property
@@ -428,7 +406,6 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     def spec(self) -> EnvSpec | None:
         """The specification that `gym.make` used; `limits.duration` sets its `max_episode_steps`.
 
-        Its keywords are JSON values, except those without JSON, such as functions.
         `gym.make(EnvSpec.from_json(spec.to_json()))` makes the same environment again.
         """
         return self._spec
@@ -446,13 +423,12 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         """Truncate episodes after `steps` agent steps, from the next reset on."""
         if steps == self._step_limit:
             return
-        self.config = self.config.override(
-            duration=whole(steps, "max_episode_steps", 1) / self.config.agent.rate
-        )
-        self._stage_or_raise().config = self._stage_or_raise().episode = self.config
+        duration = whole(steps, "max_episode_steps", 1) / self.config.agent.rate
+        stage = self._stage_or_raise()
+        stage.config = stage.episode = self.config = self.config.override(duration=duration)
         self._step_limit = steps
         if self._spec is not None:
-            kwargs = {**self._spec.kwargs, "duration": self.config.limits.duration}
+            kwargs = {**self._spec.kwargs, "duration": duration}
             self._spec = self._kept(replace(self._spec, kwargs=kwargs))
 
     def close(self) -> None:
@@ -496,12 +472,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         return np.clip(delivered, -self._torque_limits, self._torque_limits).tolist()
 
     def _apply_plan(self, scene: Scene, tick: int) -> tuple[Array, list[float] | None]:
-        """Apply the plan of a tick and return its wrench (6,), object frame.
-
-        The second value is that of the simulator, None if it is zero.
-
-        The second is for the simulator: it is None if zero.
-        """
+        """Apply the plan of a tick; return its wrench, object frame, and again for the simulator."""
         plan = self._plan
         if self._gravity_differs:
             scene.set_gravity(plan.gravity[tick])
@@ -518,20 +489,18 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         return external, push
 
     def _assumed_gravity(self, scene: Scene) -> Array:
-        """Return the gravity (3,) [m/s^2] that the controller assumes, true or nominal.
-
-        It is the true one if wrenches are measured.
-        """
+        """Return the gravity (3,) that the controller assumes: true if wrenches are measured."""
         return scene.gravity if self._measured_wrench else self._nominal_gravity
 
     def _failure_cause(self) -> str:
-        if self._outcome.drift > self._max_drift or self._outcome.tilt > self._max_tilt:
+        outcome, limits = self._outcome, self._limits
+        if outcome.drift > limits.max_drift or outcome.tilt > limits.max_tilt:
             return "dropped"
-        return "closure_lost" if self._time_without_closure > self._max_time_without_closure else ""
+        return "closure_lost" if self._time_without_closure > limits.max_contact_gap else ""
 
     def _fault(self) -> str:
-        """Return why an object that was not lost does not count as held; empty if it does."""
-        outcome, limits = self._outcome, self.config.limits
+        """Return why an object that was not lost does not count as held; "" if it does."""
+        outcome, limits = self._outcome, self._limits
         if not self.config.task.in_place(outcome.drift, outcome.tilt):
             return "drifted"
         if outcome.slide > limits.max_slide:
@@ -546,7 +515,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         fault = ""
         if not (plain and action.itemsize <= 8):
             try:
-                with np.errstate(all="ignore"):  # numbers too large for a double become infinite
+                with np.errstate(all="ignore"):  # too large for a double
                     values = (
                         np.asarray(action, np.float64)
                         if plain
@@ -566,10 +535,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         return [min(max(number, -1.0), 1.0) for number in numbers]
 
     def _forces(self, numbers: Array) -> Array:
-        """Return the forces (N, 3) of an action in mode "contact_force".
-
-        Normal forces lie in [0, 2 action_scale], tangential ones in +-action_scale.
-        """
+        """Return the forces (N, 3) of an action in mode "contact_force"."""
         scale = self.config.agent.action_scale
         forces = scale * numbers.reshape(-1, 3)
         forces[:, 0] += scale
@@ -619,7 +585,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         )
 
     def _report_structure(self, scene: Scene, plan: Plan) -> None:
-        """Compute the shares of the forces that no motor can produce; warn once about large ones."""
+        """Compute `structure_share`; warn once about large ones."""
         snapshot = scene.look()
         gravity = plan.gravity[:: self._ticks_per_step]
         loads = plan.wrench[:: self._ticks_per_step].copy()
@@ -637,9 +603,8 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         return self._stage
 
     def _new_stage(self) -> Stage:
-        return Stage(
-            self.config, self._loop, self.render_mode == "human", self.render_mode is not None
-        )
+        visible = self.render_mode == "human", self.render_mode is not None
+        return Stage(self.config, self._loop, *visible)
 
 
 def why_idle(config: EnvConfig) -> str:
@@ -662,8 +627,7 @@ def why_idle(config: EnvConfig) -> str:
 def finish(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
     """Complete an environment with Gymnasium's wrappers: `gym.make` calls this last.
 
-    `max_episode_steps` sets the length of an episode, shorter or longer than the task's. Warn if
-    actions change nothing.
+    Its `max_episode_steps` becomes the duration. Warn if actions change nothing.
     """
     inner, layer = env.unwrapped, env
     if not isinstance(inner, FourFingerGrasp):

@@ -1,7 +1,4 @@
-"""The layout of the observation: key, name, size, unit, frame, bound.
-
-A test compares the docstring of the environment with it.
-"""
+"""The layout of the observation, which a test compares with the environment's docstring."""
 
 from __future__ import annotations
 
@@ -29,28 +26,16 @@ class Field:
 
 
 def fields(tips: int = 4, joints: int = 12) -> tuple[Field, ...]:
-    """Return the blocks for a hand with given numbers of tips and joints."""
+    """Return the blocks for a hand with these numbers of tips and joints."""
+    linear = "object linear velocity minus the desired one"
+    angular = "object angular velocity minus the desired one"
     return (
         Field("force", "wrench to balance: force", 3, "N", "object", 200.0),
         Field("moment", "wrench to balance: moment", 3, "N m", "object", 20.0),
         Field("position", "object position minus the desired one", 3, "m", "world", 1.0),
         Field("orientation", "object orientation against the desired one", 3, "rad", "world", 3.2),
-        Field(
-            "linear_velocity",
-            "object linear velocity minus the desired one",
-            3,
-            "m/s",
-            "world",
-            10.0,
-        ),
-        Field(
-            "angular_velocity",
-            "object angular velocity minus the desired one",
-            3,
-            "rad/s",
-            "world",
-            50.0,
-        ),
+        Field("linear_velocity", linear, 3, "m/s", "world", 10.0),
+        Field("angular_velocity", angular, 3, "rad/s", "world", 50.0),
         Field("contact_points", "contact point", 3 * tips, "m", "object", 0.5),
         Field("normals", "inward normal", 3 * tips, "1", "object", 1.0),
         Field("commanded_force", "commanded force (normal, o, t)", 3 * tips, "N", "contact", 500.0),
@@ -62,7 +47,7 @@ def fields(tips: int = 4, joints: int = 12) -> tuple[Field, ...]:
 
 
 def action_size(mode: str, tips: int) -> int:
-    """Return the size of an action in a mode, for a hand with a number of tips."""
+    """Return the size of an action in a mode."""
     return {"initial_force": adjustment_size(tips), "contact_force": 3 * tips, "none": 1}[mode]
 
 
@@ -96,12 +81,9 @@ class Observer:
         }
 
     def watch(self, snapshot: Snapshot, loop: ForceLoop) -> None:
-        """Select the arrays to observe, in the order of `fields`.
-
-        They are views that each reading and each tick overwrite.
-        """
+        """Select the arrays to observe, in the order of `fields`; ticks overwrite them."""
         self._loop = loop
-        parts = (
+        arrays = [
             loop.wrench,
             self.error,
             snapshot.points,
@@ -111,8 +93,8 @@ class Observer:
             snapshot.touching,
             snapshot.angles,
             np.array([loop.friction]),
-        )
-        self._gather = Gather(list(parts), self.bound)
+        ]
+        self._gather = Gather(arrays, self.bound)
 
     def __call__(self, target: Array) -> tuple[NDArray[np.float32], Outcome]:
         """Return the clipped observation and the state of the hold; target: (19,) desired motion."""

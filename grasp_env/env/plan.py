@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -36,24 +37,16 @@ class Plan:
 def make_plan(config: EnvConfig, rng: np.random.Generator, mass: float) -> Plan:
     """Make the plan of one episode of `resolved` settings for an object of a mass [kg].
 
-    It has T = round(limits.duration * controller.rate) + 1 rows.
-
-    It draws once from the generator. A seed gives the same disturbance for every duration: a longer
-    episode extends a shorter one. (Only the desired motion of "move" depends on the duration, as it
-    ends at rest.)
+    It has T = round(limits.duration * controller.rate) + 1 rows. It draws once from the generator.
+    A seed gives the same disturbance for every duration: a longer episode extends a shorter one.
+    (Only the desired motion of "move" depends on the duration, as it ends at rest.)
     """
     generator = np.random.default_rng(int(rng.integers(2**63)))
-    limits = config.limits
-    tick = 1.0 / config.controller.rate
-    assert limits.duration is not None
-    assert config.disturbance is not None
-    times = np.arange(round(limits.duration * config.controller.rate) + 1) / config.controller.rate
-    wrench, gravity = disturb(config.disturbance, times, generator, config)
-    task = config.task
-    return Plan(
-        wrench,
-        task.push(times, tick, mass),
-        gravity,
-        task.target(times, tick),
-        task.mass_factor(times),
-    )
+    limits: Any = config.limits
+    disturbance: Any = config.disturbance
+    rate, task = config.controller.rate, config.task
+    tick = 1.0 / rate
+    times = np.arange(round(limits.duration * rate) + 1) / rate
+    wrench, gravity = disturb(disturbance, times, generator, config)
+    push, target = task.push(times, tick, mass), task.target(times, tick)
+    return Plan(wrench, push, gravity, target, task.mass_factor(times))

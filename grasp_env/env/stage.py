@@ -26,9 +26,9 @@ class Stage:
     """One scene, and the object that the hand holds in it.
 
     While shape and size stay the same, the fingers close only once. The state "closed", in which
-    they just touch, is kept, and every mass and friction settles from there. Another shape is built
-    and closed anew. In both cases an episode starts from the same bits, whatever came before. A
-    `GraspError` means that the hand cannot reach or hold the object.
+    they just touch, is kept, and every mass and friction settles from there. An episode starts from
+    the same bits, whatever came before. A `GraspError` means that the hand cannot reach or hold the
+    object.
 
     Attributes:
         episode: the settings of the episode, including drawn ones.
@@ -59,10 +59,7 @@ class Stage:
         return self._scene
 
     def set(self, rng: np.random.Generator) -> None:
-        """Let the hand hold the object of the next episode, with randomised settings from `rng`.
-
-        It draws at most `REDRAWS` times.
-        """
+        """Let the hand hold the object of the next episode, with randomised settings from `rng`."""
         scene = self.scene
         if not self.config.randomize:
             scene.set_gravity(np.array(self.config.gravity))
@@ -90,7 +87,7 @@ class Stage:
         raise SimulationError(f"none of {REDRAWS} random objects could be held; the last: {failed}")
 
     def _hold(self, item: ObjectDescription) -> None:
-        """Let the hand hold an object, from a place for this object unless the hand is `placed`."""
+        """Let the hand hold an object, from the first place where it can."""
         first = self._nominal is None
         failures = list[GraspError]()
         for place in self._places(item):
@@ -131,9 +128,8 @@ class Stage:
 
     def _scene_config(self, item: ObjectDescription) -> SceneConfig:
         config = self.config
-        engine = engine_of(self.config.engine)
-        points = config.contact_points
-        start = ()
+        engine = engine_of(config.engine)
+        points, start = config.contact_points, ()
         if not points:
             plan = plan_grasp(item, self.kinematics)
             points = tuple((x, y, z) for x, y, z in plan.points.tolist())
