@@ -1,10 +1,7 @@
 """Grasp-force optimisation in a simulated hand.
 
-The solver is `grasp_env.grasp` and `grasp_env.force`; the hand is a Gymnasium environment.
-
-Importing the package registers `FourFingerGrasp-v0` with Gymnasium, whichever of the two is
-imported first. The import stays light: it does not import Gymnasium, and PyBullet loads with the
-first environment.
+The solver is `grasp_env.grasp` and `grasp_env.force`; the hand is a Gymnasium environment,
+`FourFingerGrasp-v0`, which is registered whichever of the two packages is imported first.
 """
 
 import sys
@@ -26,8 +23,8 @@ def _register() -> bool:
 class _Watch:
     """Import hook that registers the environment once Gymnasium is imported.
 
-    It then removes itself. It finds no module. Gymnasium has had no plugins since 1.0. Importing it
-    here would take 30 to 100 ms, also for users of the solver alone.
+    It then removes itself. Importing Gymnasium here would take 30 to 100 ms, also for users of the
+    solver alone.
     """
 
     def __init__(self) -> None:

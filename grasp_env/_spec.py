@@ -12,12 +12,7 @@ FINISH = WrapperSpec("finish", "grasp_env.env.env:finish", {})
 
 
 class GraspSpec(EnvSpec):
-    """A specification whose JSON keeps records, hands and arrays among the keywords.
-
-    Use it as `gym.make(EnvSpec.from_json(text))`.
-
-    `EnvSpec.to_json` alone would write a record as a dict without its name.
-    """
+    """A specification whose JSON keeps the names of records, for `EnvSpec.from_json`."""
 
     def to_json(self) -> str:
         """Return the specification as JSON.

@@ -1,7 +1,6 @@
-"""All errors of the project.
+"""All errors of the project, which also derive from the matching builtins.
 
-Every class also derives from the matching builtin, so `except ValueError` and `except KeyError`
-work. A message states what was given, what is allowed and the remedy.
+A message states what was given, what is allowed and the remedy.
 """
 
 from __future__ import annotations
@@ -13,8 +12,7 @@ from reprlib import Repr
 from typing import Any
 
 _ADDRESS = re.compile(r" at 0x[0-9a-fA-F]+")
-# entries of a container that are not sorted, and bytes that are not written, for a message
-_LONG = 1000
+_LONG = 1000  # number of entries or bytes that a message does not show
 
 
 class _ShortRepr(Repr):
@@ -36,9 +34,7 @@ _SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 200
 
 
 def shown(value: object) -> str:
-    """Return a short repr without addresses, for messages.
-
-    It never fails, and takes no time however large the value is.
+    """Return a short repr without addresses, for messages; it never fails, and is always fast.
 
     Example:
         >>> shown([1.0, "a"]), shown(10**10_000), shown([0.0] * 1000)[-10:]
@@ -64,13 +60,13 @@ def shown(value: object) -> str:
 
 
 def alike(given: object, allowed: Iterable[str]) -> str:
-    """Return " did you mean NAME?" for the allowed name closest to the given one, or "".
+    """Return " did you mean NAME?" for the allowed name closest to `given`, or "".
 
     Example:
         >>> alike("Newtn", ["conic", "newton"]), alike("simplex", ["conic", "newton"])
         (" did you mean 'newton'?", '')
     """
-    from difflib import get_close_matches  # only if something went wrong
+    from difflib import get_close_matches  # slow to import
 
     if not isinstance(given, str) or len(given) > 100:
         return ""
@@ -115,20 +111,16 @@ class UnknownNameError(GraspError, KeyError):
 
 
 class UnknownSettingError(UnknownNameError, TypeError):
-    """A keyword is not a setting.
+    """A keyword is not a setting; the message is that of Python's own TypeError.
 
-    The message is that of Python's own TypeError, which other code looks for.
+    Args:
+        given: the keyword; without `allowed` the whole message, as `gymnasium.make` raises a
+            TypeError again.
+        allowed: the existing settings.
+        likely: settings of other records that may be meant.
     """
 
     def __init__(self, given: str, allowed: Iterable[str] = (), likely: Iterable[str] = ()) -> None:
-        """Make the message.
-
-        Args:
-            given: the keyword; without `allowed` the whole message, as `gymnasium.make` raises a
-                TypeError again.
-            allowed: the existing settings.
-            likely: settings of other records that may be meant.
-        """
         self.given, self.allowed = given, tuple(allowed)
         listed = " or ".join(map(repr, likely))
         meant = f" did you mean {listed}?" if listed else alike(given, self.allowed)
@@ -155,8 +147,7 @@ class InfeasibleWrenchError(GraspError):
     """No force strictly inside the friction cones balances the wrench.
 
     Attributes:
-        solution: the `ForceSolution` with status `INFEASIBLE` and, in `certificate`, the separating
-            twist (6,).
+        solution: the `ForceSolution` with status `INFEASIBLE` and its `certificate`.
     """
 
     def __init__(
@@ -183,10 +174,7 @@ class InfeasibleStartError(GraspError):
 
 
 class NotConvergedError(GraspError, RuntimeError):
-    """A solution did not reach its tolerance.
-
-    Besides the `message` it has the `ForceSolution`, `solution`, if there is one.
-    """
+    """A solve did not reach its tolerance; `solution` is a `ForceSolution` or None, `message` why."""
 
     def __init__(self, message: str, solution: Any = None) -> None:
         super().__init__(message)

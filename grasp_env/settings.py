@@ -1,8 +1,7 @@
 """Records of settings that check themselves.
 
-A setting is described once, at its field: default, unit, accepted values, one sentence. The
-record's docstring, the page of all settings, the help of the command line and the error messages
-are made from this description.
+A setting is described once, at its field. The record's docstring, the page of all settings, the
+help of the command line and the error messages are made from this description.
 
 Example:
     >>> @dataclass(frozen=True)
@@ -33,8 +32,7 @@ from grasp_env.inputs.arguments import AllFaults, as_array, as_number, choice, w
 from grasp_env.inputs.ranges import Range
 
 ANY, POSITIVE, NOT_NEGATIVE = Range(-1e9, 1e9), Range(1e-9, 1e9), Range(0.0, 1e9)
-"""Ranges of settings of which only the sign is restricted; no sensible value is larger in the units
-of the settings."""
+"""Ranges of settings of which only the sign is restricted; no sensible value is larger."""
 S = TypeVar("S", bound="Settings")
 _ABOUT = "about"
 _PATH: ContextVar[str] = ContextVar("path", default="")
@@ -76,8 +74,10 @@ def setting(
     """Declare a field of a `Settings` record.
 
     Args:
-        default, kind, doc, unit: its default, the accepted values, one sentence, the unit of its
-            numbers.
+        default: its default.
+        kind: the accepted values.
+        doc: one sentence.
+        unit: the unit of its numbers.
         none: the meaning of None; if empty, None is an error.
         random: True if it may be drawn at each reset.
     """
@@ -87,9 +87,7 @@ def setting(
 
 @dataclass(frozen=True)
 class Settings:
-    """Base class of the records: every field is a `setting`.
-
-    One error reports all faults of a record.
+    """Base class of the records: every field is a `setting`; one error reports all faults.
 
     Attributes:
         name: name of a record that is one of several, such as the disturbance "random".
@@ -122,18 +120,10 @@ class Settings:
         self.agree()
 
     def agree(self) -> None:
-        """Raise an error if values that are valid alone contradict each other.
-
-        It is called after all of them are checked and converted.
-        """
+        """Raise an error if checked values contradict each other."""
 
     def replaced(self: S, changes: Mapping[str, Any], path: str = "") -> S:
-        """Return a copy with some settings replaced; `path` of the record is for error messages.
-
-        Raises:
-            UnknownSettingError: the record has no setting of that name.
-            InvalidInputError: invalid values; the message lists all of them.
-        """
+        """Return a copy with some settings replaced; `path` of the record is for error messages."""
         before = _PATH.set(path)
         try:
             known = [item.name for item in fields(self)]
@@ -148,10 +138,7 @@ class Settings:
 def described(
     record: type[Settings], path: str = ""
 ) -> Iterator[tuple[str, type[Settings], About]]:
-    """Yield path, class and description of all settings of a record and its nested records.
-
-    `path` is that of the record itself.
-    """
+    """Yield path, class and description of all settings of a record at a `path`, also nested."""
     for item in fields(record):
         about = item.metadata[_ABOUT]
         here = f"{path}.{item.name}" if path else item.name
@@ -166,11 +153,8 @@ def real(within: Range = ANY) -> Kind:
     def take(value: Any, name: str) -> float:
         result = as_number(value)
         if result is None or not within.low <= result <= within.high:
-            most = (
-                f" and up to {within.high:g}"
-                if result is not None and result > within.high >= 1e9
-                else ""
-            )
+            beyond = result is not None and result > within.high >= 1e9
+            most = f" and up to {within.high:g}" if beyond else ""
             raise InvalidInputError(
                 f"{name} must be a number {_range_text(within)}{most}, got {shown(value)}"
             )
@@ -199,7 +183,7 @@ def one_of(
 
 
 def numbers(count: int, within: Range = ANY) -> Kind:
-    """A given count of numbers, stored as a tuple."""
+    """A tuple of numbers."""
     return Kind(
         lambda value, name: tuple(as_array(value, (count,), name, within).tolist()),
         f"{count} numbers, {_range_text(within)}",
@@ -218,12 +202,10 @@ def record(kind: type[Settings]) -> Kind:
             )
         return value
 
-    return Kind(
-        take,
-        f"{kind.__name__} or dict",
-        (kind,),
-        lambda value, name: _written_record(value, name, kind),
-    )
+    def write(value: Any, name: str) -> Any:
+        return _written_record(value, name, kind)
+
+    return Kind(take, f"{kind.__name__} or dict", (kind,), write)
 
 
 def any_of(
@@ -259,28 +241,23 @@ def any_of(
 
 
 def placed(name: str) -> str:
-    """Return a setting's full path for error messages, with that of the record under construction."""
+    """Return a setting's full path, with that of the record under construction."""
     return f"{_PATH.get()}.{name}" if _PATH.get() else name
 
 
 def to_json(value: Any, path: str = "") -> Any:
-    """Return settings as JSON values by `Kind.write`; a record that is one of several has its name.
-
-    Values that are not checked yet are written, too: arrays and numbers of numpy, paths, and dicts
-    with any of these.
+    """Return settings at a `path` as JSON values by `Kind.write`, also values not yet checked.
 
     Raises:
-        InvalidInputError: a value without JSON, such as a function, at a `path`.
+        InvalidInputError: a value without JSON, such as a function.
     """
     start = path and f"{path}."
     if isinstance(value, Settings):
-        named = {"name": value.name} if value.name else {}
-        return named | {
-            item.name: written(
-                item.metadata[_ABOUT].kind, getattr(value, item.name), start + item.name
-            )
-            for item in fields(value)
-        }
+        values = {"name": value.name} if value.name else {}
+        for item in fields(value):
+            kind = item.metadata[_ABOUT].kind
+            values[item.name] = written(kind, getattr(value, item.name), start + item.name)
+        return values
     if isinstance(value, dict):
         return {str(key): to_json(item, f"{start}{key}") for key, item in value.items()}
     if isinstance(value, tuple | list):
@@ -300,7 +277,7 @@ def written(kind: Kind, value: Any, path: str) -> Any:
 
 
 def _written_record(value: Any, path: str, kind: type[Settings] | None) -> Any:
-    """Return `to_json`; raise for a record of another class than the one that reads it."""
+    """Return `to_json`; raise for a record of another class than `kind`, which reads it."""
     if isinstance(value, Settings) and type(value) is not kind:
         raise without_json(value, path)
     return to_json(value, path)

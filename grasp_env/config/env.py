@@ -60,8 +60,7 @@ KEYWORDS = {
     "action_mode": "agent.action_mode",
     "observation": "agent.observation",
 }
-"""The plain keywords of `gym.make`, besides the fields of `EnvConfig`, and the setting that each
-one sets."""
+"""The plain keywords of `gym.make`, and the setting that each one sets."""
 _MAX_TICKS = 1_000_000
 """Largest number of control ticks of an episode; its plan takes 0.7 kB per tick."""
 
@@ -98,12 +97,8 @@ HAND = Kind(
 class EnvConfig(Settings):
     """Settings of `FourFingerGrasp-v0`.
 
-    Every field is a keyword of `gym.make`, as a record or as a dict of its settings.
-
-    Raises:
-        UnknownNameError: a task, shape, ... of no such name; the message lists those that exist.
-        InvalidInputError: values out of range; the message lists all of them with their paths, such
-            as `sensors.delay`.
+    Every field is a keyword of `gym.make`, as a record or as a dict of its settings. `override`
+    documents the errors.
 
     Example:
         >>> config = EnvConfig(task={"name": "move", "motion": "lift"}, sensors=SensorSettings(delay=0.004))
@@ -121,8 +116,7 @@ class EnvConfig(Settings):
     object: ObjectDescription = setting(
         ObjectDescription(),
         record(ObjectDescription),
-        "The object to hold. Two fingers need soft contacts: if `torsional_friction` is missing, that of pads of 12 mm radius is assumed, "
-        "with a warning.",
+        "The object to hold. For two fingers without `torsional_friction`, soft pads of 12 mm radius are assumed, with a warning.",
     )
     approach: str | tuple[float, float, float] | None = setting(
         None,
@@ -139,15 +133,14 @@ class EnvConfig(Settings):
     randomize: tuple[tuple[str, Any], ...] = setting(
         (),
         RANDOMIZE,
-        "Settings drawn at each reset: names of the object's settings, or a dict from the path of a setting to its (low, high) or to a "
-        "function of the episode's generator.",
+        "Settings drawn at each reset: names of the object's settings, or a dict from paths to (low, high) or to functions of the "
+        "episode's generator.",
     )
     task: Task = setting(Hold(), TASK, "Task of an episode.")
     disturbance: Disturbance | None = setting(
         None,
         DISTURBANCE,
-        "Disturbance of the object, besides gravity: a record, its name, or any function f(times, rng, settings), see "
-        "`grasp_env.task.Disturbance`.",
+        "Disturbance of the object, besides gravity: a record, its name, or any function, see `grasp_env.task.Disturbance`.",
         none="the task's own",
     )
     gravity: tuple[float, float, float] = setting(
@@ -177,13 +170,11 @@ class EnvConfig(Settings):
     )
 
     def agree(self) -> None:
-        """Check rates, the length of an episode, and the settings to draw, against each other."""
-        engine = engine_of(self.engine, quiet=True)
-        drawn = dict(self.randomize)
+        """Check settings against each other."""
         rates = (
             ("agent.rate", self.agent.rate),
             ("controller.rate", self.controller.rate),
-            ("engine.rate", engine.rate),
+            ("engine.rate", engine_of(self.engine, quiet=True).rate),
         )
         for (slow, low), (fast, high) in pairwise(rates):
             if high < low or high % low:
@@ -199,7 +190,7 @@ class EnvConfig(Settings):
                     f"{name} must be at most {_MAX_TICKS / self.controller.rate:g} s, {_MAX_TICKS} control ticks, got "
                     f"{seconds} s: make episodes shorter, or lower controller.rate"
                 )
-        resized = drawn.keys() & {"object.shape", "object.size"}
+        resized = dict(self.randomize).keys() & {"object.shape", "object.size"}
         if resized and self.object.shape == "mesh":
             raise InvalidInputError(
                 "a mesh keeps its shape and size: use randomize=('mass', 'friction'), or another object.shape"
@@ -228,8 +219,9 @@ class EnvConfig(Settings):
                 dict changes some settings of a record; with a "name" it makes a new one.
 
         Raises:
-            UnknownSettingError: no setting of that name.
-            InvalidInputError: invalid values; the message lists all of them.
+            UnknownSettingError: no setting of that name; also a TypeError.
+            UnknownNameError: no task, shape, ... of that name.
+            InvalidInputError: invalid values; the message lists all of them with their paths.
         """
         kinds = {item.name: all_settings()[item.name].kind for item in fields(self)}
         whole: dict[str, Any] = {}
@@ -263,18 +255,13 @@ class EnvConfig(Settings):
         return replace(self, **whole | records)
 
     def resolved(self) -> EnvConfig:
-        """Return a copy with the defaults of the task, the engine and two fingers filled in.
-
-        Warns:
-            GraspWarning: the torsional friction assumed for two fingers.
-        """
+        """Return a copy with the defaults of the task, the engine and two fingers filled in."""
         task, limits = self.task, self.limits
         defaults = {
             name: getattr(task, name)
             for name in ("duration", "max_drift", "max_tilt")
             if getattr(limits, name) is None
         }
-        disturbance = task.disturbance if self.disturbance is None else self.disturbance
         item = with_soft_contacts(self.object, self.hand_description)
         if item is not self.object:
             warn(
@@ -286,15 +273,12 @@ class EnvConfig(Settings):
             self,
             engine=engine_of(self.engine),
             object=item,
-            disturbance=disturbance,
+            disturbance=task.disturbance if self.disturbance is None else self.disturbance,
             limits=replace(limits, **defaults),
         )
 
     def drawn(self, rng: np.random.Generator) -> EnvConfig:
         """Return the settings of one episode, with the randomised ones drawn from its generator.
-
-        Raises:
-            GraspError: a function fails, or returns an invalid value.
 
         Example:
             >>> config = EnvConfig(randomize={"mass": (0.1, 0.2), "sensors.delay": lambda rng: rng.choice([0.0, 0.004])})
@@ -313,8 +297,7 @@ class EnvConfig(Settings):
         """Return all settings as JSON values, with the version of the schema, for `as_config`.
 
         Raises:
-            InvalidInputError: a function, a start rule, or a record of your own class; these have
-                no JSON.
+            InvalidInputError: a function or a record of your own class, which have no JSON.
         """
         return {"schema": SCHEMA, **to_json(self)}
 
@@ -329,9 +312,7 @@ def as_config(config: EnvConfig | dict[str, Any] | str | None) -> EnvConfig:
     Settings that are missing have their defaults.
 
     Raises:
-        InvalidInputError: not settings, no schema or another one than this version reads, or
-            invalid values.
-        UnknownSettingError: no setting of that name.
+        InvalidInputError: not settings, or another schema; also the errors of `override`.
 
     Example:
         >>> as_config({"schema": 1, "sensors": {"delay": 0.004}}).sensors.delay
@@ -363,8 +344,7 @@ def as_config(config: EnvConfig | dict[str, Any] | str | None) -> EnvConfig:
 def keywords_to_json(kwargs: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
     """Return keywords of `gym.make` as JSON values, and why some have no JSON.
 
-    Records come first: as a dict, a record would otherwise undo a keyword of one of its settings
-    that stands before it. A keyword that is no setting stays as it is.
+    Records come first, since as dicts they would undo earlier keywords of their settings.
     """
     kinds = {item.name: all_settings()[item.name].kind for item in fields(EnvConfig)}
     keywords = dict[str, Any]()
@@ -392,9 +372,7 @@ def _config_to_json(value: Any) -> tuple[Any, list[str]]:
 
 @cache
 def all_settings() -> dict[str, About]:
-    """Return the description of every setting by its path, such as "object.shape", in order.
-
-    If settings of several records share a path, such as "disturbance.force", the first is kept.
+    """Return the description of every setting by its path; the first of those that share one.
 
     Example:
         >>> about = all_settings()["sensors.delay"]

@@ -1,4 +1,4 @@
-"""Randomization: settings that are drawn at each reset."""
+"""Settings that are drawn at each reset."""
 
 from __future__ import annotations
 
@@ -37,13 +37,9 @@ ALLOWED = (*SHORT, *RANDOM, "gravity")
 
 
 def _checked_rules(value: Any, name: str) -> tuple[tuple[str, Any], ...]:
-    entries = (
-        list(value.items())
-        if isinstance(value, dict)
-        else [value]
-        if isinstance(value, str)
-        else value
-    )
+    entries = [value] if isinstance(value, str) else value
+    if isinstance(value, dict):
+        entries = list(value.items())
     if not isinstance(entries, list | tuple):
         raise InvalidInputError(
             f"{name} must be a list of some of {', '.join(SHORT)}, or a dict from paths to ranges, got {shown(value)}"
@@ -58,7 +54,7 @@ def _checked_rules(value: Any, name: str) -> tuple[tuple[str, Any], ...]:
 
 
 def _checked_rule(path: str, rule: Any) -> Any:
-    """Return a checked rule: (low, high), a function, or True for a shape."""
+    """Return a rule: (low, high), a function, or True for a shape."""
     if callable(rule):
         return rule
     if rule is True and path in OBJECT:
@@ -78,7 +74,7 @@ def _checked_rule(path: str, rule: Any) -> Any:
 
 
 def _written_rules(value: Any, name: str) -> Any:
-    """Return checked rules as a dict from paths, and any other value as it is given."""
+    """Return checked rules as a dict from paths, and any other value by `to_json`."""
     pairs = isinstance(value, tuple) and all(
         isinstance(entry, tuple) and len(entry) == 2 for entry in value
     )
@@ -89,30 +85,23 @@ def _written_rules(value: Any, name: str) -> Any:
 
 
 RANDOMIZE = Kind(_checked_rules, "names, or dict from paths", write=_written_rules)
-"""Kind of `EnvConfig.randomize`, which is stored as pairs of path and rule."""
+"""Kind of `EnvConfig.randomize`, stored as pairs of path and rule."""
 
 
 def draw(rules: Mapping[str, Any], shape: str, rng: np.random.Generator) -> dict[str, Any]:
     """Draw the settings of an episode by path, first those of an object of a `shape`.
 
-    The other settings follow in the order of the rules.
-
     If one number of the object is drawn, all are drawn, used or not. The later draws then do not
     depend on which ones are used.
-
-    Raises:
-        GraspError: a function fails, or returns an invalid value.
     """
     settings: dict[str, Any] = {}
     if rules.keys() & OBJECT.keys():
         ranges = OBJECT | {path: rule for path, rule in rules.items() if not callable(rule)}
         if shape != "mesh":
-            drawn = (
-                _draw_one("object.shape", rules["object.shape"], rng)
-                if "object.shape" in rules
-                else shape
-            )
-            drawn = choice(drawn, "object.shape", SHAPES)
+            drawn = shape
+            if "object.shape" in rules:
+                drawn = _draw_one("object.shape", rules["object.shape"], rng)
+                drawn = choice(drawn, "object.shape", SHAPES)
             low, high = ranges["object.size"]
             sides = rng.uniform(low, high, 3).tolist()[: len(SIZES[drawn])]
             if drawn != shape or "object.size" in rules:
@@ -123,12 +112,9 @@ def draw(rules: Mapping[str, Any], shape: str, rng: np.random.Generator) -> dict
             if path in rules:
                 settings[path] = value
     for path in dict.fromkeys((*OBJECT, *rules)):
-        if (
-            path in rules
-            and path != "object.shape"
-            and (path not in OBJECT or callable(rules[path]))
-        ):
-            settings[path] = _draw_one(path, rules[path], rng)
+        rule = rules.get(path)
+        if rule and path != "object.shape" and (path not in OBJECT or callable(rule)):
+            settings[path] = _draw_one(path, rule, rng)
     return settings
 
 
@@ -137,9 +123,5 @@ def _draw_one(path: str, rule: Any, rng: np.random.Generator) -> Any:
         return SHAPES_WITHOUT_MESH[int(rng.integers(len(SHAPES_WITHOUT_MESH)))]
     if not callable(rule):
         return rng.uniform(*rule)
-    return call_user(
-        rule,
-        rng,
-        what=f"randomize[{path!r}]",
-        takes="it takes a numpy generator and returns the setting",
-    )
+    takes = "it takes a numpy generator and returns the setting"
+    return call_user(rule, rng, what=f"randomize[{path!r}]", takes=takes)

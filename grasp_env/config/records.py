@@ -27,13 +27,12 @@ from grasp_env.settings import (
 CONTROLLERS = ("optimized", "constant_squeeze", "pd")
 ACTION_MODES = ("initial_force", "contact_force", "none")
 COSTS = ("iterations", "force", "torque", "force_change")
-"""Costs of a step in the reward; each name is a weight of `RewardSettings` and, with "reward/"
-before it, a term."""
+"""Costs of a step in the reward, and their weights in `RewardSettings`."""
 MAX_COST = 0.9
 """Largest share of the reward for holding that the costs of a step may take."""
 WEIGHT = Range(0.0, MAX_COST)
 ROUNDING = 1e-12
-"""Rounding error by which the sum of the weights may exceed `MAX_COST`."""
+"""Rounding of the sum of the weights."""
 _PIXELS = numbers(2, Range(16, 8192))
 
 
@@ -50,7 +49,7 @@ class SensorSettings(Settings):
         "measured",
         one_of(("measured", "estimated", "none")),
         "Source of the external wrench: measured, estimated from the object's motion and the mean contact forces of a tick, or none, "
-        "which leaves pose feedback alone. The hand always knows gravity for its own weight.",
+        "with pose feedback alone. The hand always knows gravity for its own weight.",
     )
     wrench_delay: int = setting(0, integer(0), "Delay of the measured wrench in control ticks.")
     estimator_time: float = setting(
@@ -115,11 +114,11 @@ class SolverSettings(Settings):
     max_iterations: int = setting(
         5000,
         integer(0),
-        "Largest number of iterations of one optimisation, such as real time allows.",
+        "Largest number of iterations of one optimisation.",
     )
 
     def agree(self) -> None:
-        """Raise an error if a barrier is set for the method without one."""
+        """Raise an error for a barrier of `conic`, which has none."""
         if self.method == "conic" and self.barrier_weight != Objective.barrier_weight:
             raise InvalidInputError(
                 f"solver.method 'conic' has no barrier, got solver.barrier_weight={self.barrier_weight:g}: take solver.method='newton', "
@@ -161,7 +160,7 @@ class ControllerSettings(Settings):
     friction_error: float = setting(
         0.0,
         real(Range(-1.0 + 1e-9, 1e9)),
-        "Relative error of the friction that the controller assumes; 0.25 is a quarter too much.",
+        "Relative error of the friction that the controller assumes; 0.25: a quarter too much.",
         random=True,
     )
     force_rate: float = setting(
@@ -215,7 +214,7 @@ class AgentSettings(Settings):
     info: str = setting(
         "all",
         one_of(("all", "numbers")),
-        "Contents of info: everything, or numbers only, as arrays, for code that makes tensors of them.",
+        "Contents of info: everything, or numbers only, as arrays.",
     )
 
 
@@ -223,12 +222,10 @@ class AgentSettings(Settings):
 class RewardSettings(Settings):
     """Reward of a step: `held` * (1 - c), with c the weighted sum of the costs, each from 0 to 1.
 
-    The weights add up to at most `MAX_COST`, so a step with the object held always pays more than
-    0. Holding on therefore pays more than letting go for every object, hand, method and discount.
+    The weights add up to at most `MAX_COST`, so holding on pays more than letting go for every
+    object, hand, method and discount.
 
     Example:
-        >>> RewardSettings(iterations=0.8, force=0.0, torque=0.0, force_change=0.0).failure_cost
-        0.0
         >>> RewardSettings(iterations=0.8)
         Traceback (most recent call last):
         grasp_env.errors.InvalidInputError: the weights of the reward's costs (iterations 0.8, force
@@ -281,11 +278,10 @@ class RewardSettings(Settings):
     def terms(self, held: bool, iterations: float, costs: Sequence[float]) -> dict[str, float]:
         """Return the terms that add up to the reward of a step with the object `held` or lost.
 
-        `iterations` are the method's, `costs` the others of `COSTS` in their order, 0 to 1.
+        `costs` are those of `COSTS` other than the method's `iterations`, 0 to 1.
         """
-        shares = (
-            (min(1.0, iterations / self.iteration_scale), *costs) if held else (0.0,) * len(COSTS)
-        )
+        used = min(1.0, iterations / self.iteration_scale)
+        shares = (used, *costs) if held else (0.0,) * len(COSTS)
         paid = self.held if held else 0.0 - self.failure_cost
         charged = {
             f"reward/{name}": 0.0 - self.held * getattr(self, name) * share

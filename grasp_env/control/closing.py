@@ -62,14 +62,12 @@ def _close(scene: Scene, loop: ForceLoop) -> None:
 
 
 def _slow(scene: Scene) -> bool:
-    """True if the fingers are nearly at rest.
-
-    Speed and energy both count: heavy moving fingers would carry the object away.
-    """
-    rates = scene.look().rates
+    """True if the fingers are nearly at rest, also in energy: heavy ones would carry the object."""
+    snapshot = scene.look()
+    rates = snapshot.rates
     if not np.abs(rates).max() < _SLOW:
         return False
-    return float(rates @ scene.kinematics.mass_matrix(scene.look().angles) @ rates) < 2.0 * _ENERGY
+    return float(rates @ scene.kinematics.mass_matrix(snapshot.angles) @ rates) < 2.0 * _ENERGY
 
 
 def take_over(scene: Scene, loop: ForceLoop) -> None:
@@ -119,37 +117,32 @@ def take_over(scene: Scene, loop: ForceLoop) -> None:
 
 
 def _causes(scene: Scene, loop: ForceLoop, otherwise: str, settling: bool) -> str:
-    """Return the likely causes of a failed grasp, with advice."""
+    """Return the likely causes of a failed grasp, with remedies."""
     snapshot = scene.look()
     hand = scene.config.hand
+    joints = hand.joint_names
     kinematics = scene.kinematics
+    limits, angles = kinematics.torque_limits, snapshot.angles
     names = [hand.palm.name, *(link.name for link in hand.links)]
     causes = []
-    weak = np.flatnonzero(np.abs(loop.torques) >= _AT_LIMIT * kinematics.torque_limits)
+    weak = np.flatnonzero(np.abs(loop.torques) >= _AT_LIMIT * limits)
     if loop.effort.saturated and len(weak):
-        listed = ", ".join(
-            f"{hand.joint_names[j]} ({kinematics.torque_limits[j]:g} N m)" for j in weak
-        )
+        listed = ", ".join(f"{joints[j]} ({limits[j]:g} N m)" for j in weak)
         causes.append(
             f"joints at their torque limits: {listed}. No force within them carries the object where it is: raise torque_limit, make "
             "the object lighter or rougher, or grasp it elsewhere"
         )
-    pairs = [
-        f"{names[first + 1]} and {names[second + 1]}"
-        for first, second in scene.simulator.self_contacts()
-    ]
+    contacts = scene.simulator.self_contacts()
+    pairs = [f"{names[first + 1]} and {names[second + 1]}" for first, second in contacts]
     if pairs:
         causes.append(
             f"links push each other: {', '.join(pairs)}. Give contact_points or a home posture that keep them apart"
         )
     span = kinematics.upper - kinematics.lower
-    near = np.minimum(
-        snapshot.angles - kinematics.lower, kinematics.upper - snapshot.angles
-    ) < np.minimum(_END, 0.01 * span)
-    if near.any():
-        listed = ", ".join(
-            f"{hand.joint_names[j]} ({snapshot.angles[j]:.3f})" for j in np.flatnonzero(near)
-        )
+    left = np.minimum(angles - kinematics.lower, kinematics.upper - angles)
+    near = np.flatnonzero(left < np.minimum(_END, 0.01 * span))
+    if len(near):
+        listed = ", ".join(f"{joints[j]} ({angles[j]:.3f})" for j in near)
         causes.append(
             f"joints at the ends of their ranges: {listed}. Give contact_points or a home posture away from these"
         )

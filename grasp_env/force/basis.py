@@ -112,8 +112,8 @@ class OfflineBasis:
     def combine(self, wrench: Wrench, printed: bool = False) -> ContactForces:
         """Return the non-negative combination sum E_k f_k (N, 3) [N] with w = sum E_k (+-e_k).
 
-        These are Eqs. 33 and 34; see `LinearCombination` for `printed`. The result is balanced by
-        linearity and strictly inside the cones by convexity.
+        These are Eqs. 33 and 34; see `LinearCombination` for `printed`. The result balances
+        `wrench` by linearity and lies strictly inside the cones by convexity.
         """
         x = np.empty(self.cone_forces.shape[1])
         core.combine(self.cone_forces, as_wrench(wrench), flag(printed, "printed"), x)

@@ -180,7 +180,7 @@ class ForceLimits:
         return tuple(out)
 
     def slack(self, grasp: Grasp, force: ArrayLike, torsion: ArrayLike | None = None) -> LimitSlack:
-        """Return the distances of `force` (N, 3) [N] and `torsion` (N,) [N m] from the limits."""
+        """Return the distances of `force` (N, 3) [N] and `torsion` (N,) on `grasp` from limits."""
         least, most, jac, limit, bias = self.checked(as_grasp(grasp).n_contacts)
         forces = _with_torsion(grasp, force, torsion)
         torque = np.einsum("nij,ni->j", _in_contact_frames(grasp, jac), forces) + bias
@@ -191,7 +191,7 @@ class ForceLimits:
         )
 
     def rows(self, grasp: Grasp) -> LimitRows:
-        """Return all finite limits as A f <= b in force coordinates, not cone coordinates.
+        """Return all finite limits on `grasp` as A f <= b in force, not cone coordinates.
 
         The order is: least normal forces above 0 (the cone implies 0), largest normal forces, then
         the upper and the lower torque limit of each joint. Columns of components that a contact
@@ -226,7 +226,10 @@ class ForceLimits:
         torsion: ArrayLike | None = None,
         tolerance: float = 1e-9,
     ) -> list[str]:
-        """Return a message for each limit exceeded by more than `tolerance` [N, N m]; see `slack`."""
+        """Return a message for each limit that is exceeded by more than `tolerance` [N, N m].
+
+        `grasp`, `force` and `torsion` are those of `slack`.
+        """
         matrix, bound, labels = self.rows(grasp)
         tolerance = number(tolerance, "tolerance", ranges.NOT_NEGATIVE)
         forces = _with_torsion(grasp, force, torsion)

@@ -20,7 +20,7 @@ from grasp_env.inputs.arguments import AllFaults, Array, as_array, checked_size,
 class ForceSolutions(Sequence[ForceSolution]):
     """Solutions of M problems as arrays; `solutions[k]` is the k-th as a `ForceSolution`.
 
-    The arrays are documented there.
+    The arrays are documented there; `names` are those that the solutions show.
 
     Attributes:
         records: (M, K) one row of numbers per problem, see `record.py`.

@@ -386,7 +386,9 @@ class ForceOptimizer:
         contacts: ArrayLike | None = None,
         initial: Initial | None = None,
     ) -> ContactForces:
-        """Return the initial force (N, 3) [N] of `solve`, which documents arguments and errors.
+        """Return the initial force (N, 3) [N] of `solve`.
+
+        `solve` documents wrench, positions, normals, friction, contacts, initial and the errors.
 
         Raises:
             UnsupportedProblemError: the method takes no initial force.
@@ -414,7 +416,7 @@ class ForceOptimizer:
         return solution.initial_force.copy(), start.replaced or solution.start_replaced
 
     def solve_many(self, wrenches: ArrayLike, *, workers: int | None = None) -> ForceSolutions:
-        """Solve for many wrenches (M, 6) [N, N m], independently; see `optimize_forces`."""
+        """Solve for wrenches (M, 6) [N, N m], independently; `workers` as in `optimize_forces`."""
         return solve_many(self, *checked_batch(wrenches, workers))
 
     def update(
@@ -426,9 +428,10 @@ class ForceOptimizer:
         jacobian: ArrayLike | None = None,
         torque_bias: ArrayLike | None = None,
     ) -> None:
-        """Replace arguments of the constructor, which `solve` documents; those left out stay.
+        """Replace arguments of the constructor; those left out stay.
 
-        The 12-basis is computed again if the start needs it.
+        `solve` documents positions, normals, friction, jacobian and torque_bias. The 12-basis is
+        computed again if the start needs it.
 
         Raises:
             InvalidInputError, RankDeficientGraspError: as in `solve`; the optimizer is unchanged.

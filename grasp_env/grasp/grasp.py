@@ -168,8 +168,9 @@ class Grasp:
     ) -> Grasp:
         """Make the same grasp as `from_contacts`, to the last bit, from trusted arguments.
 
-        Not checked are the number of contacts, the models, tangents that are nearly along a normal,
-        and torsional friction against the grasp's length.
+        `positions`, `normals` and `tangents` are (N, 3). Not checked are the number of contacts,
+        the models, tangents that are nearly along a normal, and torsional friction against the
+        grasp's length.
 
         Raises:
             InvalidInputError: see `from_contacts`; arrays of another type than float64.
@@ -301,7 +302,7 @@ class Grasp:
         return u - np.hypot(o, t)
 
     def cone_margin(self, force: ContactForces) -> float:
-        """Return the least of `cone_margins` [N]."""
+        """Return the least of `cone_margins` of `force` [N]."""
         return float(self.cone_margins(force).min())
 
     @property
@@ -364,11 +365,11 @@ class Grasp:
         return float(np.abs(self.unit_frame @ error).max())
 
     def to_object_frame(self, force: ContactForces) -> Array:
-        """Return object-frame vectors (N, 3) [N] of contact-frame forces (normal, o, t) (N, 3)."""
+        """Return object-frame vectors (N, 3) [N] of contact-frame forces `force` (N, 3)."""
         return np.einsum("nij,nj->ni", self.frames, self._rows(force, "force"))
 
     def to_contact_frame(self, vectors: Array) -> ContactForces:
-        """Return contact-frame forces (normal, o, t) (N, 3) [N] from object-frame `vectors` (N, 3)."""
+        """Return contact-frame forces (N, 3) [N] from object-frame `vectors` (N, 3)."""
         return np.einsum("nji,nj->ni", self.frames, self._rows(vectors, "vectors"))
 
     def _torsion_wrench(self, torsion: ArrayLike) -> Wrench:

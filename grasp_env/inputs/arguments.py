@@ -1,8 +1,7 @@
 """Checks of the arguments of public calls, and the array aliases.
 
-Numbers that pass are float64, finite, of the right shape and within `ranges`. Each fault is an
-`InvalidInputError` that names the argument, what was given and what is allowed. `AllFaults`
-collects several.
+Each fault is an `InvalidInputError` that names the argument, what was given and what is allowed.
+`AllFaults` collects several.
 """
 
 from __future__ import annotations
@@ -53,11 +52,8 @@ def as_array(
     `used` (N,) leaves out may hold any numbers.
     """
     if type(value) is np.ndarray and value.dtype is _FLOAT:
-        array = (
-            np.array(value, order="C")
-            if copy or not value.flags.aligned
-            else np.asarray(value, order="C")
-        )
+        convert = np.array if copy or not value.flags.aligned else np.asarray
+        array = convert(value, order="C")
     else:
         array = _converted(value, shape, name)
     if shape is not None and (
@@ -112,12 +108,12 @@ def _text(shape: Shape | None) -> str:
 
 
 def as_wrench(value: ArrayLike, name: str = "wrench") -> Wrench:
-    """Return a finite wrench (6,) [N, N m] with components up to 1e12; see `as_array`."""
+    """Return a wrench (6,) [N, N m], checked by `as_array` and `checked_size`."""
     return checked_size(as_array(value, (6,), name), name)
 
 
 def checked_size(wrench: Array, name: str = "wrench") -> Array:
-    """Return finite wrenches (..., 6), or raise for components beyond 1e12 N and N m."""
+    """Return finite wrenches (..., 6), with components up to `core.LARGEST` N and N m."""
     if wrench.size and np.abs(wrench).max() > LARGEST:
         raise InvalidInputError(
             f"{name} must have components up to {LARGEST:g} N and N m, got {shown(wrench)}"
@@ -136,9 +132,9 @@ def as_wrenches(value: ArrayLike) -> Array:
 
 
 def as_number(value: Any) -> float | None:
-    """Return a real number as a float, or None if it is not one.
+    """Return a real number, also that of an array without axes, as a float, or None.
 
-    An array without axes counts as its number. A number that is too large becomes infinite.
+    A number that is too large becomes infinite.
     """
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value.item()
@@ -152,14 +148,14 @@ def as_number(value: Any) -> float | None:
 
 
 def positive(value: Any, name: str, within: Range = ranges.POSITIVE) -> float:
-    """Return a float > 0 within a range, or raise an `InvalidInputError`."""
+    """Return a float > 0 within a range."""
     if not (as_number(value) or 0.0) > 0.0:
         raise InvalidInputError(f"{name} must be a number > 0, got {shown(value)}")
     return number(value, name, within)
 
 
 def number(value: Any, name: str, within: Range = ranges.FINITE) -> float:
-    """Return a finite float within a range, or raise an `InvalidInputError`."""
+    """Return a float within a range."""
     result = as_number(value)
     if result is None or not within.low <= result <= within.high:
         must = "be a number" if result is None else "lie"
@@ -168,7 +164,7 @@ def number(value: Any, name: str, within: Range = ranges.FINITE) -> float:
 
 
 def whole(value: Any, name: str, least: int, most: int = ranges.SEED) -> int:
-    """Return an integer from `least` to `most`, or raise `InvalidInputError`, also for 2.0."""
+    """Return an integer from `least` to `most`; 2.0 is none."""
     is_integer = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not is_integer or not least <= value <= most:
         allowed = f"from {least} to {most}" if is_integer and value > most else f">= {least}"
@@ -177,12 +173,12 @@ def whole(value: Any, name: str, least: int, most: int = ranges.SEED) -> int:
 
 
 def generator(seed: Any, name: str = "seed") -> np.random.Generator:
-    """Return the random generator of an integer seed >= 0, or raise an `InvalidInputError`."""
+    """Return the random generator of an integer seed >= 0."""
     return np.random.default_rng(whole(seed, name, 0))
 
 
 def choice(value: Any, kind: str, allowed: Iterable[str], hint: str = "") -> str:
-    """Return one of some names, or raise an `UnknownNameError`."""
+    """Return one of the `allowed` names, or raise an `UnknownNameError`."""
     names = tuple(allowed)
     if not isinstance(value, str) or value not in names:
         raise UnknownNameError(kind, value, names, hint)
@@ -190,25 +186,23 @@ def choice(value: Any, kind: str, allowed: Iterable[str], hint: str = "") -> str
 
 
 def flag(value: Any, name: str) -> bool:
-    """Return True or False, or raise an `InvalidInputError`."""
+    """Return True or False; 1 and 0 are errors."""
     if not isinstance(value, bool | np.bool_):
         raise InvalidInputError(f"{name} must be True or False, got {shown(value)}")
     return bool(value)
 
 
 def instance(value: Any, kind: type[T], name: str, or_none: bool = False) -> Any:
-    """Return an object of a class (or None, if that is allowed), or raise an `InvalidInputError`."""
+    """Return an object of a class, or None if that is allowed."""
     if not isinstance(value, kind) and not (or_none and value is None):
-        what = f"{'an' if kind.__name__[0] in 'AEIO' else 'a'} {kind.__name__}{' or None' if or_none else ''}"
+        article = "an" if kind.__name__[0] in "AEIO" else "a"
+        what = f"{article} {kind.__name__}{' or None' * or_none}"
         raise InvalidInputError(f"{name} must be {what}, got {shown(value)}")
     return value
 
 
 class AllFaults:
-    """Collects the faults of several checks and raises one error at the end of the `with` block.
-
-    A single fault is raised as it is, several as an `InvalidInputError` with the texts of all.
-    """
+    """Collects the faults of several checks for one error at the end of the `with` block."""
 
     MOST_TEXTS = 40
 
@@ -219,7 +213,7 @@ class AllFaults:
         return self
 
     def __call__(self, check: Callable[..., T], *args: Any, **options: Any) -> T:
-        """Return `check(*args, **options)`; keep a fault and return None, as the block raises."""
+        """Return `check(*args, **options)`, or keep its fault and return None."""
         try:
             return check(*args, **options)
         except GraspError as fault:
@@ -227,7 +221,7 @@ class AllFaults:
             return None  # type: ignore[return-value]
 
     def add(self, *faults: str | GraspError) -> None:
-        """Add faults that were found elsewhere: errors, or the texts of `InvalidInputError`s."""
+        """Add errors, or the texts of `InvalidInputError`s."""
         self.faults += [
             InvalidInputError(fault) if isinstance(fault, str) else fault for fault in faults
         ]
@@ -237,10 +231,9 @@ class AllFaults:
             raise self.faults[0]
         if self.faults:
             texts = list(dict.fromkeys(map(str, self.faults)))
-            more = (
-                f"; and {len(texts) - self.MOST_TEXTS} more" if len(texts) > self.MOST_TEXTS else ""
-            )
-            raise InvalidInputError("; ".join(texts[: self.MOST_TEXTS]) + more) from None
+            if len(texts) > self.MOST_TEXTS:
+                texts[self.MOST_TEXTS :] = [f"and {len(texts) - self.MOST_TEXTS} more"]
+            raise InvalidInputError("; ".join(texts)) from None
 
 
 def call_user(
@@ -268,6 +261,6 @@ def warn(message: str) -> None:
     while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith(
         ("grasp_env.", "gymnasium.", "functools")
     ):
-        level = level + 1
+        level += 1
         frame = frame.f_back
     warnings.warn(message, GraspWarning, stacklevel=level)

@@ -1,4 +1,4 @@
-"""The optional dependencies, as the extras of `pyproject.toml`: checked where they are imported."""
+"""The optional dependencies, as the extras of `pyproject.toml`."""
 
 from __future__ import annotations
 
@@ -50,17 +50,17 @@ EXTRAS = {
 def need(*extras: str) -> nullcontext[None]:
     """Raise a `MissingExtraError` with the command that installs these extras, if one is missing.
 
-    Call it before importing from them.
-
     Example:
         >>> with need("sim"):
         ...     import gymnasium
     """
-    missing = {
-        extra: [name for name in EXTRAS[extra] if find_spec(name) is None] for extra in extras
-    }
-    missing = {extra: names for extra, names in missing.items() if names}
-    absent = dict.fromkeys(name for names in missing.values() for name in names)
+    absent = dict[str, None]()
+    missing = list[str]()
+    for extra in extras:
+        names = [name for name in EXTRAS[extra] if find_spec(name) is None]
+        if names:
+            missing.append(extra)
+            absent |= dict.fromkeys(names)
     if missing:
         raise MissingExtraError(
             f'this needs {", ".join(absent)}: pip install "grasp-force[{",".join(missing)}]"'

@@ -36,14 +36,13 @@ def read_bytes(path: str | os.PathLike[str], most: int = TEXT) -> bytes:
     """Read a file, or a pipe such as /dev/stdin, of up to `most` bytes.
 
     Raises:
-        OSError: missing, not readable, a folder, larger than `most`, or not a path; `strerror` says
-            which.
+        OSError: missing, not readable, a folder, too large, or not a path; `strerror` says which.
     """
     try:
         with open(os.fspath(path), "rb") as file:
             chunks = list[bytes]()
             left = most + 1
-            # files under /proc and pipes do not tell their size
+            # pipes do not tell their size
             while chunk := file.read(min(left, MEGABYTE)):
                 chunks.append(chunk)
                 left -= len(chunk)
@@ -57,10 +56,7 @@ def read_bytes(path: str | os.PathLike[str], most: int = TEXT) -> bytes:
 def read_json(
     path: Path, error: type[GraspError], what: str, most: int = TEXT, **options: Any
 ) -> Any:
-    """Read a JSON file in UTF-8, with or without a byte order mark; see `parsed`.
-
-    `options` are those of `json.loads`.
-    """
+    """Read a JSON file in UTF-8 with the `options` of `json.loads`; see `parsed`."""
 
     def read(blob: bytes) -> Any:
         return json.loads(blob.decode("utf-8-sig"), **options)
@@ -88,9 +84,7 @@ HEAD = 4096
 
 
 def stand_in(blob: bytes) -> tuple[str, str]:
-    """Return what a user has in place of a file, such as "web page", and the remedy.
-
-    Both are "" if it may be the file itself.
+    """Return what a user has in place of a file, such as "web page", and the remedy, or "" twice.
 
     Example:
         >>> stand_in(b"<!DOCTYPE html>")[0], stand_in(b"<robot/>")[0]
@@ -111,10 +105,9 @@ def parsed(
     hint: str = "",
     most: int = TEXT,
 ) -> Any:
-    """Return `read(bytes of a file)`; any failure becomes an `error`.
+    """Return `read(bytes of a file)`; any failure but a `GraspError` becomes an `error`.
 
-    Errors of this project stay as they are. `name`, `form` and `hint` are the file's name, its
-    expected content and the remedy, for the message.
+    Its message has the file's `name`, the expected `form` and the remedy, `hint`.
     """
     try:
         blob = read_bytes(path, most)
@@ -153,11 +146,10 @@ def unpacked(blob: bytes) -> dict[str, np.ndarray]:
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a hidden name beside `path`; what is written there becomes `path` after the block.
 
-    Readers find the old content or the new one, never a part: not after an interrupt, and not after
-    a power cut, because the content is on the disk before it gets its name. Of several writers of a
-    file at the same time the last one stays; a folder has one writer. The hidden name ends like
-    `path`. If the block raises, it is removed and `path` is left as it was. What a killed process
-    leaves is removed by the next writer in the same folder once nobody has written to it for a day.
+    Readers find the old content or the new one, never a part, also after an interrupt or a power
+    cut. Of several writers of a file at the same time the last one stays; a folder has one writer.
+    The hidden name ends like `path`. If the block raises, it is removed. What a killed process
+    leaves is removed by a later writer in the folder, a day after the last write.
 
     A device or a pipe, such as /dev/stdout, is written to directly. A symbolic link stays, and its
     target is replaced.
@@ -195,7 +187,7 @@ def _hidden(target: Path) -> Path:
 
 
 def _sync(path: Path) -> None:
-    """Wait until a file, or a folder with all that is in it, is on the disk."""
+    """Wait until a file, or a folder with its contents, is on the disk."""
     for entry in (*path.rglob("*"), path):
         _sync_entry(entry)
 
@@ -230,9 +222,7 @@ def _remove(path: Path) -> None:
 
 
 def file_fault(error: OSError, place: str = "path") -> str:
-    """Return why a file cannot be read or written, and the remedy.
-
-    `place` is what else may be chosen.
+    """Return why a file cannot be read or written, and the remedy: another `place`.
 
     Example:
         >>> file_fault(OSError(28, "No space left on device"), "--out"), file_fault(OSError("the encoder failed"))
@@ -250,7 +240,7 @@ def digest(*parts: bytes) -> str:
 
 
 def as_path(path: Any, error: type[GraspError], what: str) -> Path:
-    """Return a path given as text or `pathlib`, or raise `error`."""
+    """Return a path from text or `pathlib`, or raise `error`."""
     if not isinstance(path, str | os.PathLike) or not os.fspath(path):
         raise error(f"{what} must be a path, got {shown(path)}")
     return Path(path)

@@ -1,10 +1,7 @@
-"""Smallest and largest numbers of a problem, in one table.
-
-Calls raise `InvalidInputError` beyond it.
+"""Smallest and largest numbers of a problem: calls raise `InvalidInputError` beyond them.
 
 The ranges were measured on hard, soft and elliptic grasps with all methods. They end a decade or
-more before answers lose their digits, and include far more than hands, objects and their units
-need. Wrenches go up to `core.LARGEST`, which the compiled calls check themselves.
+more before answers lose their digits. Wrenches go up to `core.LARGEST`.
 """
 
 from __future__ import annotations
@@ -29,21 +26,15 @@ FINITE = Range(-1e300, 1e300)
 NOT_NEGATIVE = Range(0.0, 1e300)
 
 FRICTION = Range(1e-4, 1e4)
-"""Coulomb coefficients.
-
-Below 1e-6, where normal forces are a million times the load, and above 1e5 balance loses its
-digits."""
+"""Coulomb coefficients: below 1e-6 and above 1e5 balance loses its digits."""
 TORSIONAL_FRICTION = Range(1e-15, 1e6, "m")
 """Torsional friction gamma."""
 TORSIONAL_LEVER = 1e4
-"""Largest gamma in lengths of the grasp: beyond 1e6 the torsion of a millionth of a normal force
-outweighs every other moment."""
+"""Largest gamma in lengths of the grasp: from 1e6 on torsion outweighs every other moment."""
 LENGTH = Range(1e-9, 1e6, "m")
-"""Root mean square distance of the contacts from their centre, and lengths that turn moments into
-forces."""
+"""Lengths of grasps, and others that turn moments into forces."""
 DISTANCE = 1e5
-"""Largest distance of the contacts' centre from the origin, in lengths of the grasp: moments about
-the origin lose as many digits."""
+"""Largest distance of a grasp from the origin, in its lengths: moments lose as many digits."""
 SIZE = Range(-1e50, 1e50)
 """Numbers that are only multiplied: products of six of them do not overflow."""
 SIDE_BY_SIDE = 100_000_000
@@ -53,11 +44,11 @@ CONTACTS = 1000
 """Most contacts of a grasp."""
 
 FORCE_WEIGHT = Range(1e-4, 1e4)
-"""Weight omega. Phi has forces in units of sqrt(lambda / omega) only: 100 kN at the most."""
+"""Weight omega; forces are in units of sqrt(lambda / omega), 100 kN at the most."""
 BARRIER_WEIGHT = Range(1e-16, 1e6, "N^2")
 """Weight lambda: 0.01 for newtons is 1e-14 for micronewtons."""
 TOLERANCE = Range(1e-300, 1.0)
-"""Relative gaps. A solve with a gap that no double reaches ends as STALLED."""
+"""Relative gaps."""
 ITERATIONS = 10_000_000
 """Most steps of a solve; a trace keeps one number for each."""
 
@@ -80,8 +71,7 @@ BALL = Range(1e-9, 1e9, "N or N m")
 """Radii of a `WrenchBall`."""
 STARTS = 10_000
 POINTS = 5000
-"""Most points of the polytope of `worst_case`: in six dimensions its facets grow far faster than
-its points."""
+"""Most points of the hull of `worst_case`, which has far more facets."""
 
 NUMBERS = 100_000_000
 """Most numbers that a call makes of a count: 0.8 GB."""

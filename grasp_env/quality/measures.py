@@ -118,7 +118,9 @@ def singular_values(grasp: Grasp, length: float | None = None) -> Array:
 def quality(
     grasp: Grasp, *, tolerance: float = 0.01, starts: int = 32, points: int = 400, seed: int = 0
 ) -> GraspQuality:
-    """Return the quality measures of a grasp; `worst_case` documents the options of the epsilons.
+    """Return the quality measures of a grasp.
+
+    `worst_case` documents tolerance, starts, points and seed.
 
     Example:
         >>> from grasp_env.grasp import presets

@@ -1,8 +1,4 @@
-"""Disturbances over an episode: wrenches and tilting gravity, a row per control tick.
-
-A disturbance is called as f(times, rng, settings); it is a record of `DISTURBANCES` or a user's
-function.
-"""
+"""Disturbances over an episode: wrenches and tilting gravity, a row per control tick."""
 
 from __future__ import annotations
 
@@ -51,28 +47,22 @@ Disturbance: TypeAlias = "Callable[[Array, np.random.Generator, Any], ArrayLike 
 """Function f(times, rng, settings) -> (T, 6) wrenches [N, N m] in the object frame, or a
 `Disturbed`.
 
-times: (T,) times of the control ticks [s]; rng: the episode's own generator; settings: the
-environment's `EnvConfig`. If the order of draws from rng does not depend on T, a seed gives the
-same disturbance in a longer episode."""
+times: (T,) of the control ticks [s]; rng: a generator for this episode's disturbance; settings: the
+`EnvConfig`. If the order of draws from rng does not depend on T, a seed gives the same disturbance
+in a longer episode."""
 
 
 def name_of(disturbance: Disturbance | None) -> str:
     """Return the name of a built-in disturbance or of a function; "" if it has none."""
-    name = (
-        disturbance.name
-        if isinstance(disturbance, DisturbanceSettings)
-        else getattr(disturbance, "__name__", "")
-    )
+    built_in = isinstance(disturbance, DisturbanceSettings)
+    name = getattr(disturbance, "name" if built_in else "__name__", "")
     return name if isinstance(name, str) else ""
 
 
 def disturb(
     rule: Disturbance, times: Array, rng: np.random.Generator, settings: Any
 ) -> tuple[Array, Array]:
-    """Return the wrench (T, 6) [N, N m] and gravity (T, 3) [m/s^2] of a disturbance.
-
-    The wrench is in the object frame, gravity in the world frame.
-    """
+    """Return the `Disturbed` arrays of a disturbance."""
     what = f"the disturbance {name_of(rule) or shown(rule)}"
     rows = len(times)
     takes = "a disturbance takes (times, rng, settings) and returns (T, 6) wrenches [N, N m], a row per tick"
@@ -81,24 +71,16 @@ def disturb(
         raise InvalidInputError(
             f"what {what} returns must be (T, 6) wrenches [N, N m] or a Disturbed, got None: does it end in a return?"
         )
+
+    def checked(value: ArrayLike | None, default: ArrayLike, name: str) -> Array:
+        if value is None:
+            return np.tile(default, (rows, 1))
+        what_returns = f"what {what} returns ({name}, a row per tick)"
+        return as_array(value, (rows, np.size(default)), what_returns, ranges.SIZE)
+
     acts = result if isinstance(result, Disturbed) else Disturbed(result)
-    wrench = np.zeros((rows, 6))
-    gravity = np.tile(settings.gravity, (rows, 1))
-    if acts.wrench is not None:
-        wrench = as_array(
-            acts.wrench,
-            (rows, 6),
-            f"what {what} returns (wrench [N, N m], a row per tick)",
-            ranges.SIZE,
-        )
-    if acts.gravity is not None:
-        gravity = as_array(
-            acts.gravity,
-            (rows, 3),
-            f"what {what} returns (gravity [m/s^2], a row per tick)",
-            ranges.SIZE,
-        )
-    return wrench, gravity
+    wrench = checked(acts.wrench, np.zeros(6), "wrench [N, N m]")
+    return wrench, checked(acts.gravity, settings.gravity, "gravity [m/s^2]")
 
 
 @dataclass(frozen=True)
@@ -148,9 +130,8 @@ class ConstantWrench(DisturbanceSettings):
 class PaperPath(DisturbanceSettings):
     """The paper's W_ext(t).
 
-    Its moment about z peaks at 1 N m, which takes 153 N of normal force and 9 N m at the joints. A
-    tenth of it takes about 1 N m, which motors of a hand of this size can deliver (the simulated
-    joints allow 12 N m).
+    Its moment about z peaks at 1 N m, which takes 153 N of normal force and 9 N m at the joints;
+    motors of a hand of this size deliver about a tenth.
     """
 
     name: ClassVar[str] = "paper_path"
@@ -197,8 +178,8 @@ class Impulses(DisturbanceSettings):
     """Half-sine pushes and twists in random directions, with exponential waits between them.
 
     Each row is the mean over its tick, so an impulse of any duration delivers 2 / pi * force * time
-    [N s]. Impulses never overlap: a wait runs from the end of one to the start of the next, and
-    starts are at least a tick apart.
+    [N s]. A wait runs from the end of one impulse to the start of the next, and starts are at least
+    a tick apart.
     """
 
     name: ClassVar[str] = "impulses"
@@ -246,7 +227,6 @@ class TiltingGravity(DisturbanceSettings):
     """Gravity swings about a random horizontal axis, as if the hand were tilted slowly.
 
     The swing is a sinusoid that fades in over its first period, so it starts upright and at rest.
-    The accelerations of a hand that really tilts are left out.
     """
 
     name: ClassVar[str] = "tilting_gravity"

@@ -13,8 +13,8 @@ MOTIONS: dict[str, str] = {
 }
 """The motions by name, with descriptions.
 
-During a rotation about z, the thumb at -z turns on the spot and the fingers at +z stay on their
-face: the built-in four-finger hand reaches beyond 90 degrees about z, 61 about y and 24 about x."""
+During a rotation about z, the thumb at -z turns on the spot: the built-in four-finger hand reaches
+beyond 90 degrees about z, 61 about y and 24 about x."""
 
 MOTION_SIZES: dict[str, float] = {"lift": 0.015, "shake": 0.015, "rotate": 0.3}
 """Default sizes [m], [m], [rad]."""
@@ -55,17 +55,11 @@ def resting_target(ticks: int) -> Array:
 
 
 def motion_target(motion: str, times: Array, size: float, period: float) -> Array:
-    """Return the object's motion, one of `MOTIONS`, at times (T,) [s] from 0 on.
+    """Return a motion of `MOTIONS`, rows (T, 19) as above, at times (T,) [s] from 0 on.
 
-    `size` is in [m or rad], `period` in [s].
-
-    As many whole periods as fit before `times[-1]` are done, then the object rests; if not even one
-    fits, it is cut short. A shake reaches its full size if three or more periods fit.
-
-    Returns:
-        (T, 19): position [m], quaternion (x, y, z, w), linear and angular velocity, linear and
-        angular acceleration,
-        world frame; the velocities and accelerations are the exact derivatives.
+    `size` is in [m] or [rad], `period` in [s]. As many whole periods as fit before `times[-1]` are
+    done, then the object rests; if not even one fits, it is cut short. A shake reaches its full
+    size if three or more periods fit.
 
     Example:
         >>> motion_target("lift", np.array([0.0, 1.0, 2.0]), size=0.05, period=2.0)[:, 1]
@@ -73,12 +67,8 @@ def motion_target(motion: str, times: Array, size: float, period: float) -> Arra
     """
     target = resting_target(len(times))
     repeats = max(1.0, np.floor(times[-1] / period * (1.0 + 1e-12)))
-    path = (
-        _shake(times, period, repeats)
-        if motion == "shake"
-        else _there_and_back(times, period, repeats)
-    )
-    path *= size
+    rule = _shake if motion == "shake" else _there_and_back
+    path = size * rule(times, period, repeats)
     if motion == "rotate":
         target[:, QUATERNION.start + 2] = np.sin(0.5 * path[0])
         target[:, QUATERNION.start + 3] = np.cos(0.5 * path[0])
@@ -91,7 +81,7 @@ def motion_target(motion: str, times: Array, size: float, period: float) -> Arra
 
 
 def _there_and_back(times: Array, period: float, repeats: float) -> Array:
-    """Return 0 to 1 in a third of each period, held, and back, with derivatives: (3, T)."""
+    """Return 0 to 1 in a third of each period, held, and back, with two derivatives (3, T)."""
     phase = times / period
     phase = 3.0 * np.where(phase < repeats, phase - np.floor(phase), 0.0)
     rate = 3.0 / period
@@ -99,7 +89,7 @@ def _there_and_back(times: Array, period: float, repeats: float) -> Array:
 
 
 def _shake(times: Array, period: float, repeats: float) -> Array:
-    """Return a unit sinusoid that fades in and out, with two derivatives by time: (3, T)."""
+    """Return a unit sinusoid that fades in and out, with two derivatives (3, T)."""
     fade = period * min(1.0, 0.5 * repeats)
     a, da, dda = blend(times / fade) * np.array([[1.0], [1.0 / fade], [1.0 / fade**2]])
     b, db, ddb = blend((repeats * period - times) / fade) * np.array(

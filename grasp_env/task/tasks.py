@@ -16,15 +16,12 @@ from grasp_env.task.motion import MOTION_SIZES, MOTIONS, blend, motion_target, r
 PAYLOAD_RAMP = 0.1
 """Time [s] in which the mass of "payload" changes."""
 PUSH_RAMP = 0.05
-"""Time [s] in which a push of "six_directions" changes into the next, at most a quarter of
-`push_time`."""
+"""Time [s] in which a push of "six_directions" changes into the next; at most `push_time` / 4."""
 
 
 @dataclass(frozen=True)
 class Task(Settings):
-    """Base class of the tasks: records of their settings.
-
-    A new task is a class here and an entry of `TASKS`.
+    """Base class of the tasks, which are entries of `TASKS`.
 
     Example:
         >>> Hold().duration, SixDirections(push_time=1.0).duration
@@ -42,10 +39,9 @@ class Task(Settings):
     max_tilt: ClassVar[float] = 0.35
     """Default angle [rad] at which the object counts as lost."""
     drift_limit: ClassVar[float] = math.inf
-    """Largest distance [m] of the object from its place for success; infinite: it only must not be
-    lost."""
+    """Largest distance [m] for success."""
     tilt_limit: ClassVar[float] = math.inf
-    """Largest angle [rad] for success; infinite: it only must not be lost."""
+    """Largest angle [rad] for success."""
     duration: ClassVar[Any] = 4.0
     """Default duration of an episode [s]."""
     caption: ClassVar[str] = ""
@@ -59,10 +55,7 @@ class Task(Settings):
         return np.zeros((len(times), 3))
 
     def target(self, times: Array, tick: float) -> Array:
-        """Return the motion (T, 19) of the object, see `grasp_env.task.motion`.
-
-        `times` and `tick` are as in `push`.
-        """
+        """Return the motion (T, 19) of the object; `times` and `tick` are as in `push`."""
         return resting_target(len(times))
 
     def mass_factor(self, times: Array) -> Array:
@@ -101,7 +94,7 @@ class Move(Task):
     period: float = setting(1.0, real(POSITIVE), "Duration of one motion.", unit="s")
 
     def target(self, times: Array, tick: float) -> Array:
-        """See `Task`: times [s], tick [s]."""
+        """See `Task`: times, tick."""
         size = MOTION_SIZES[self.motion] if self.size is None else self.size
         return motion_target(self.motion, times, size, max(self.period, tick))
 
@@ -117,7 +110,7 @@ class Payload(Task):
     time: float = setting(1.0, real(NOT_NEGATIVE), "Time of the change.", unit="s")
 
     def mass_factor(self, times: Array) -> Array:
-        """See `Task`: times [s]."""
+        """See `Task`: times."""
         return 1.0 + (self.factor - 1.0) * blend((times - self.time) / PAYLOAD_RAMP)[0]
 
 
@@ -145,11 +138,7 @@ class SixDirections(Task):
         return 6.0 * self.push_time
 
     def push(self, times: Array, tick: float, mass: float) -> Array:
-        """See `Task`: times [s], tick [s], mass [kg].
-
-        Each push changes into the next by a minimum-jerk ramp, as a step would need a jump of the
-        contact forces.
-        """
+        """See `Task`: times, tick, mass. Pushes change into each other by minimum-jerk ramps."""
         length = max(self.push_time, tick)
         pushes = np.zeros((8, 3))  # zero before the first push and after the last
         pushes[1:7:2] = self.push_per_mass * mass * np.eye(3)
