@@ -124,8 +124,8 @@ class UnknownSettingError(UnknownNameError, TypeError):
         self.given, self.allowed = given, tuple(allowed)
         listed = " or ".join(map(repr, likely))
         meant = f" did you mean {listed}?" if listed else alike(given, self.allowed)
-        named = f"got an unexpected keyword argument {shown(given)}:{meant} settings are {', '.join(map(repr, self.allowed))}"
-        GraspError.__init__(self, named if self.allowed else given)
+        message = f"got an unexpected keyword argument {shown(given)}:{meant} settings are {', '.join(map(repr, self.allowed))}"
+        GraspError.__init__(self, message if self.allowed else given)
 
 
 def _restore(kind: type[GraspError], message: str, attributes: dict[str, Any]) -> GraspError:

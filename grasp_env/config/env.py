@@ -224,35 +224,35 @@ class EnvConfig(Settings):
             InvalidInputError: invalid values; the message lists all of them with their paths.
         """
         kinds = {item.name: all_settings()[item.name].kind for item in fields(self)}
-        whole: dict[str, Any] = {}
-        parts: dict[str, dict[str, Any]] = {}
+        values: dict[str, Any] = {}
+        changes: dict[str, dict[str, Any]] = {}
         for name, value in settings.items():
-            place, _, inner = KEYWORDS.get(name, name).partition(".")
-            if place not in kinds:
+            field, _, inner = KEYWORDS.get(name, name).partition(".")
+            if field not in kinds:
                 raise UnknownSettingError(name, (*kinds, *KEYWORDS), _similar(name))
             if inner:
-                parts.setdefault(place, {})[inner] = value
+                changes.setdefault(field, {})[inner] = value
             elif (
                 isinstance(value, dict)
                 and "name" not in value
-                and isinstance(getattr(self, place), Settings)
+                and isinstance(getattr(self, field), Settings)
             ):
-                parts.setdefault(place, {}).update(value)
+                changes.setdefault(field, {}).update(value)
             else:
-                whole[place] = value
+                values[field] = value
 
-        def changed(place: str) -> Settings:
-            value = whole.get(place, getattr(self, place))
-            base = None if value is None else kinds[place].take(value, place)
+        def changed(field: str) -> Settings:
+            value = values.get(field, getattr(self, field))
+            base = None if value is None else kinds[field].take(value, field)
             if not isinstance(base, Settings):
                 raise InvalidInputError(
-                    f"{place} is {shown(value)}, which has no {', '.join(parts[place])}: give {place} a name, too, {{'name': ..., ...}}"
+                    f"{field} is {shown(value)}, which has no {', '.join(changes[field])}: give {field} a name, too, {{'name': ..., ...}}"
                 )
-            return base.replaced(parts[place], place)
+            return base.replaced(changes[field], field)
 
         with AllFaults() as check:
-            records = {place: check(changed, place) for place in parts}
-        return replace(self, **whole | records)
+            records = {field: check(changed, field) for field in changes}
+        return replace(self, **values | records)
 
     def resolved(self) -> EnvConfig:
         """Return a copy with the defaults of the task, the engine and two fingers filled in."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -60,6 +59,7 @@ class ForceLoop:
     docstring describes what it does.
 
     Attributes:
+        core: the compiled controller.
         optimizer: the method, made for the planned contacts of all fingers.
         seen: the scene as the controller measures it.
         wrench: (6,) wrench that the forces balance [N, N m], object frame.
@@ -106,11 +106,11 @@ class ForceLoop:
         # soft tips on one line have an internal force more
         directions = reference_basis(grasp)[:, : adjustment_size(self.count)]
         settings.directions = directions.reshape(-1).tolist()
-        self._core = core.Controller.make(
+        self.core = core.Controller.make(
             scene.core, self.optimizer.core, settings, sensor_settings(config)
         )
         self._settling = True  # until the hand holds the object
-        arrays = self._core.arrays()
+        arrays = self.core.arrays()
         self.wrench, self.force, self.frames, self.torques, self._row = (
             arrays[name] for name in ("wrench", "force", "frames", "torques", "solution")
         )
@@ -133,12 +133,12 @@ class ForceLoop:
     def reset(self, rng: np.random.Generator | None = None) -> None:
         """Forget the episode; `rng` draws one seed for the noise (None: keep the current noise)."""
         self.scene.look()
-        self._core.reset()
+        self.core.reset()
         self.settling = self._settling
-        self.seen = Snapshot(**self._core.seen())
+        self.seen = Snapshot(**self.core.seen())
         if rng is not None:
             noise = np.random.default_rng(int(rng.integers(2**63)))
-            self._noise = None if self._core.exact else NoiseRows(noise, 3 + 3 * self.count)
+            self._noise = None if self.core.exact else NoiseRows(noise, 3 + 3 * self.count)
         self._start: StartRequest | None = None  # of a Python rule
         self.begin_step()
 
@@ -149,17 +149,17 @@ class ForceLoop:
 
     @settling.setter
     def settling(self, value: bool) -> None:
-        self._settling = self._core.perfect = value
+        self._settling = self.core.perfect = value
         self._hold(Hold.optimized if value else HOLDS[self.config.controller.kind])
 
     def _hold(self, hold: Hold) -> None:
-        self._held = self._core.hold = hold
+        self._held = self.core.hold = hold
         self._needs_rule = hold == Hold.optimized and not self.optimizer.core_finds_start
 
     @property
     def solution(self) -> ForceSolution | None:
         """The method's last solution, or None."""
-        if self._core.code not in RESULTS:
+        if self.core.code not in RESULTS:
             return None
         row = self._row.copy()
         if self._start is not None:
@@ -169,41 +169,37 @@ class ForceLoop:
     @property
     def status(self) -> str:
         """Status of the method's last solve, the value of a `Status`; empty without a solution."""
-        code = self._core.code
+        code = self.core.code
         return STATUSES[code].value if code in RESULTS else ""
 
     @property
     def closure(self) -> bool:
         """True if the contacts could balance the wrench at the last tick."""
-        return self._core.closure
+        return self.core.closure
 
     @property
     def fingers(self) -> Indices:
         """Numbers (n,) of the fingers in contact, as the controller measures them."""
-        mask = self._core.mask
+        mask = self.core.mask
         return np.array([k for k in range(self.count) if mask >> k & 1], dtype=np.int64)
 
     def begin_step(self) -> None:
-        """Begin an agent's step: reset `effort`."""
-        self._core.begin_step()
+        """Begin an agent's step."""
+        self.core.begin_step()
 
     @property
     def effort(self) -> core.Effort:
-        """Iterations of the solvers and use of the motors since `begin_step`."""
-        return self._core.effort
+        """Iterations of the solvers and use of the motors since the agent's step began."""
+        return self.core.effort
 
     def costs(self) -> tuple[float, float, float]:
-        """Return the costs of force, torque and change of force, 0 to 1, since `begin_step`."""
-        costs = self._core.costs()
+        """Return the costs of force, torque and change of force, 0 to 1, of the agent's step."""
+        costs = self.core.costs()
         return costs.force, costs.torque, costs.change
 
     def outcome(self, target: Array, error: Array, measured: Array) -> core.Outcome:
         """Return the true state of the hold; see `core.Controller.outcome`."""
-        return self._core.outcome(target, error, measured)
-
-    def step_info(self, outcome: core.Outcome, measured: Array) -> dict[str, Any]:
-        """The entries of `info` that the core computes; see `core.Controller.step_info`."""
-        return self._core.step_info(outcome, measured)
+        return self.core.outcome(target, error, measured)
 
     def tick(
         self,
@@ -225,19 +221,19 @@ class ForceLoop:
                 to the start, which is then repaired.
             forces: (N, 3) forces to command instead of optimised ones [N], contact frames.
         """
-        core = self._core
-        noise = self._noise
         reading = self.scene.new_reading()
         if forces is not None and self._held != Hold.direct:
             self._hold(Hold.direct)
-        row = None if noise is None else noise()
+        noise = None if self._noise is None else self._noise()
         by_rule = due and self._needs_rule
         if by_rule:
             self._row[CODE] = REFUSED  # no stale solution is left if the rule fails
-        if not core.see(reading, external, gravity, target, row):
+        if not self.core.see(reading, external, gravity, target, noise):
             assert reading is not None  # earlier readings are finite
             raise self.scene.divergence_error(reading)
-        return self._from_rule(adjustment) if by_rule else core.act(due, adjustment, None, forces)
+        if by_rule:
+            return self._from_rule(adjustment)
+        return self.core.act(due, adjustment, None, forces)
 
     def _from_rule(self, adjustment: Array | None) -> list[float]:
         """Run the tick of a method with a Python start rule, on the measured contacts."""
@@ -249,21 +245,21 @@ class ForceLoop:
             start = rule_start(self.optimizer.initial, grasp, self.wrench, self.optimizer.objective)
         except self._lost_closure:  # the method reports this from its own start
             self._start = None
-            return self._core.act(True, adjustment, None, None)
+            return self.core.act(True, adjustment, None, None)
         force = np.zeros((self.count, 3))
         force[touching] = start.force
         self._start = start
-        torques = self._core.act(True, adjustment, force, None)
-        if self._core.code == REFUSED and not isinstance(self.initial_force, str):
+        torques = self.core.act(True, adjustment, force, None)
+        if self.core.code == REFUSED and not isinstance(self.initial_force, str):
             raise refused_start(grasp, self.wrench, start, None)
         return torques
 
     def rest(self, external: Array, gravity: Array, target: Array) -> None:
         """Set the state of the hand at rest: the measured forces become the commanded ones."""
         noise = None if self._noise is None else self._noise()
-        self._core.see(None, external, gravity, target, noise)
-        self._core.rest()
-        self._core.rewind()
+        self.core.see(None, external, gravity, target, noise)
+        self.core.rest()
+        self.core.rewind()
 
     def reach(self, gravity: Array, target: Array) -> list[float]:
         """Return the torques (M,) [N m] of a tick in which all fingers reach for their places."""

@@ -248,11 +248,11 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         self._observer = Observer(tips, joints)
         vector = gym.spaces.Box(-self._observer.bound, self._observer.bound, dtype=np.float32)
         self._as_dict = config.agent.observation == "dict"
-        parts: dict[str, gym.Space[Any]] = {
+        blocks: dict[str, gym.Space[Any]] = {
             block.key: gym.spaces.Box(-block.bound, block.bound, (block.size,))
             for block in self._observer.fields
         }
-        self.observation_space = gym.spaces.Dict(parts) if self._as_dict else vector
+        self.observation_space = gym.spaces.Dict(blocks) if self._as_dict else vector
         self._action_shape = (action_size(config.agent.action_mode, tips),)
         self.action_space = gym.spaces.Box(-1.0, 1.0, self._action_shape, dtype=np.float32)
         self._ticks_per_step = config.controller.rate // config.agent.rate
@@ -314,9 +314,8 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         self._mass_differs = not (plan.mass_factor == 1.0).all()
         self._last_row = len(plan) - 1
         self._loop.reset(self.np_random)
-        self._motor_noise = NoiseRows(
-            np.random.default_rng(int(self.np_random.integers(2**63))), len(self._torque_limits)
-        )
+        noise = np.random.default_rng(int(self.np_random.integers(2**63)))
+        self._motor_noise = NoiseRows(noise, len(self._torque_limits))
         self._tick, self._time_without_closure = 0, 0.0
         self._failure, self._ended, self._started = "", False, True
         self._plan_acts = (
@@ -447,24 +446,20 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         elif agent.action_mode == "initial_force" and any(numbers) and loop.count > 2:
             adjustment = agent.action_scale * np.array(numbers)
         assumed_gravity = self._assumed_gravity(scene)
-        acts = self._plan_acts
         for k in range(self._ticks_per_step):
             tick = min(self._tick, self._last_row)
-            external, push = (
-                self._apply_plan(scene, tick)
-                if acts
-                else (self._wrenches[tick], self._pushes[tick])
-            )
-            if acts:
+            external, push = self._wrenches[tick], self._pushes[tick]
+            if self._plan_acts:
+                external, push = self._apply_plan(scene, tick)
                 assumed_gravity = self._assumed_gravity(scene)
             torques = loop.tick(
                 external, assumed_gravity, self._targets[tick], k == 0, adjustment, forces
             )
             scene.advance(self._delivered(torques) if self._imperfect_motors else torques, push)
             self._tick += 1
-            self._time_without_closure = (
-                0.0 if loop.closure else self._time_without_closure + loop.dt
-            )
+            self._time_without_closure += loop.dt
+            if loop.closure:
+                self._time_without_closure = 0.0
 
     def _delivered(self, torques: list[float]) -> list[float]:
         """Apply motor strength and noise to the commanded torques, then clip to the torque limits."""
@@ -476,10 +471,9 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         plan = self._plan
         if self._gravity_differs:
             scene.set_gravity(plan.gravity[tick])
-        if self._mass_differs and (
-            tick == 0 or plan.mass_factor[tick] != plan.mass_factor[tick - 1]
-        ):
-            scene.change_object(self._mass * float(plan.mass_factor[tick]))
+        factor = plan.mass_factor
+        if self._mass_differs and (tick == 0 or factor[tick] != factor[tick - 1]):
+            scene.change_object(self._mass * float(factor[tick]))
         external = self._wrenches[tick]
         push = self._pushes[tick]
         if self._world_pushes is not None:
@@ -551,7 +545,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
 
     def _info(self, scene: Scene, terms: dict[str, float]) -> dict[str, Any]:
         outcome, failure = self._outcome, self._failure
-        step_info = self._loop.step_info(outcome, self._observer.measured)
+        step_info = self._loop.core.step_info(outcome, self._observer.measured)
         if failure == "simulation_diverged":  # the last reading, without forces
             step_info |= {
                 name: np.zeros_like(step_info[name]) for name in ("measured_force", "touching")

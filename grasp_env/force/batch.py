@@ -105,11 +105,11 @@ def _many_grasps(
         begins = np.append(firsts, len(grasps))
         distinct = [grasps[k].contacts for k in order[firsts].tolist()]
 
-        def work(part: slice) -> None:
-            chosen = order[begins[part.start] : begins[part.stop]]
-            counts = begins[part.start : part.stop + 1] - begins[part.start]
+        def work(chunk: slice) -> None:
+            chosen = order[begins[chunk.start] : begins[chunk.stop]]
+            counts = begins[chunk.start : chunk.stop + 1] - begins[chunk.start]
             rows = np.empty((len(chosen), records.shape[1]))
-            solve(distinct[part], counts.astype(np.float64), loads[chosen], rows)
+            solve(distinct[chunk], counts.astype(np.float64), loads[chosen], rows)
             records[chosen] = rows
 
         over_parts(work, len(distinct), GRASPS, threads)

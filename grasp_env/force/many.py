@@ -152,7 +152,7 @@ def solve_many(optimizer: Any, loads: Array, threads: int) -> ForceSolutions:
     records = np.empty((len(loads), optimizer.core.size))
     if optimizer.core_finds_start:
         over_parts(
-            lambda part: optimizer.core.solve_many(loads[part], records[part]),
+            lambda chunk: optimizer.core.solve_many(loads[chunk], records[chunk]),
             len(loads),
             CHUNK,
             threads,
@@ -185,7 +185,7 @@ of threads."""
 
 
 def over_parts(work: Callable[[slice], None], count: int, size: int, threads: int) -> None:
-    """Call work(part) for slices of `size` out of `count` on several threads.
+    """Call work(slice) for slices of `size` out of `count` on several threads.
 
     An error or an interrupt stops all of them after their slice.
     """
@@ -193,11 +193,11 @@ def over_parts(work: Callable[[slice], None], count: int, size: int, threads: in
         if count:
             work(slice(0, count))
         return
-    parts = iter([slice(k, min(k + size, count)) for k in range(0, count, size)])
+    chunks = iter([slice(k, min(k + size, count)) for k in range(0, count, size)])
 
     def take() -> None:
-        for part in parts:  # the iterator of a list is thread-safe: each slice goes to one thread
-            work(part)
+        for chunk in chunks:  # the iterator of a list is thread-safe: each slice goes to one thread
+            work(chunk)
 
     threads = min(threads, -(-count // size))
     if threads <= 1:
@@ -208,5 +208,5 @@ def over_parts(work: Callable[[slice], None], count: int, size: int, threads: in
             for task in [pool.submit(take) for _ in range(threads)]:
                 task.result()
         finally:
-            for _ in parts:  # after an error: leave no slice for the other threads
+            for _ in chunks:  # after an error: leave no slice for the other threads
                 pass

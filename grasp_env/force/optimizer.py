@@ -393,22 +393,17 @@ class ForceOptimizer:
         Raises:
             UnsupportedProblemError: the method takes no initial force.
         """
-        arrays = {
-            "positions": positions,
-            "normals": normals,
-            "friction": friction,
-            "contacts": contacts,
-        }
-        return self._start_and_replaced(wrench, initial=initial, **arrays)[0]
+        arrays = (positions, normals, friction, None, None, contacts)
+        return self._start_and_replaced(wrench, initial, *arrays)[0]
 
     def _start_and_replaced(
-        self, wrench: ArrayLike, *, initial: Initial | None = None, **arrays: ArrayLike | None
+        self, wrench: ArrayLike, initial: Initial | None, *arrays: ArrayLike | None
     ) -> tuple[ContactForces, bool]:
         """Return `start`, and True if another start replaced the requested one."""
         if self.method == "conic":
             raise UnsupportedProblemError("method 'conic' takes no initial force")
         load = as_wrench(wrench)
-        call = self._arrays(**arrays)
+        call = self._arrays(*arrays)
         start = self._start(load, call, initial)
         solution = self.core.start(load, call, start.request())
         if solution.code != STARTED:
@@ -451,11 +446,10 @@ class ForceOptimizer:
         self._grasp = grasp
         self.limits = self._limits_of(call)
 
-    def _arrays(self, *args: Any, **kwargs: Any) -> Call:
+    def _arrays(self, *arrays: Any) -> Call:
         jacobian: Any = None if self.limits is None else self.limits.jacobian
-        return checked_call(
-            self.grasp, (0, 0) if jacobian is None else jacobian.shape[1:], *args, **kwargs
-        )
+        motions = (0, 0) if jacobian is None else jacobian.shape[1:]
+        return checked_call(self.grasp, motions, *arrays)
 
     def _limits_of(self, call: Call) -> ForceLimits | None:
         """Return the limits with the Jacobian and the torque bias of a call."""

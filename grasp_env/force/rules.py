@@ -22,12 +22,10 @@ class CoreRule:
     here are ours.
 
     - "single_value": f_0 = -G^+ w + k f_rest with k = max(1.1 k_min, 1), where f_rest is the
-      optimum at w = 0 and k_min the least strictly feasible factor. The lower bound 1 matters for
-      small wrenches only: there k_min vanishes and P would be singular.
+      optimum at w = 0 and k_min the least strictly feasible factor, which vanishes with w.
     - "lagrange": argmin (f - k n)^T W (f - k n) s.t. G f = -w, with W = diag(1, 10, 10) and n the
-      unit normal forces. The solution is affine in k, so the strictly feasible k form an interval.
+      unit normal forces. The strictly feasible k form an interval, for many grasps an empty one.
       k = max(1.1 k_min, the mean normal force of f_rest), but at most the middle of the interval.
-      For many grasps the interval is empty.
     - "phase_one": a force inside the cones, found by an interior-point method; it needs no force
       closure.
 
@@ -52,7 +50,7 @@ class CoreRule:
             grasp, force_weight=phi.force_weight, barrier_weight=phi.barrier_weight
         )
         try:
-            force, replaced = optimizer._start_and_replaced(wrench, initial=self.name)
+            force, replaced = optimizer._start_and_replaced(wrench, self.name)
         except InfeasibleWrenchError:
             raise InfeasibleStartError(
                 "no force strictly inside the cones balances the wrench"

@@ -124,24 +124,22 @@ class ForceSolution(Solution):
         multipliers: (6,) nu of balance: grad objective = G^T nu (+ multipliers of the limits),
             d objective / d wrench = -nu.
         limit_multipliers: (M,) multipliers >= 0 of the limits, in the order of
-            `ForceOptimizer.limit_labels`; with status INFEASIBLE those of the proof, see
-            `certificate`; empty for LIMITS_EXCEEDED.
+            `ForceOptimizer.limit_labels`; if infeasible, see `certificate`; empty for
+            LIMITS_EXCEEDED.
         has_force: False if the solve found no force; then `force` is zero.
         initial: the name of the start; "internal_force (NAME was replaced)" if nothing is left of
             the requested one, and then `start_replaced` is True.
         iterations: accepted steps.
         trials: all steps tried.
-        objective: Phi of `force`; for `conic` the sum or maximum of force_weight times normal force
-            [N]; `limit_excess` if that is > 0.
+        objective: Phi of `force`, or the criterion of `conic` [N]; `limit_excess` if that is > 0.
         lower_bound: dual bound, below the objective of every balanced force; -inf: unknown; the
             `optimum` if that was given.
         optimality_gap: (objective - lower_bound) / lower_bound, certified; +inf without a positive
             bound.
         equilibrium_residual: `Grasp.residual` of the force [N].
-        cone_margin: min over contacts of mu * normal - |tangential| [N] (in cone coordinates); > 0
-            strictly inside.
-        limit_excess: largest excess of a limit as a fraction of that limit; 0 within all limits.
-            See `elastic` of `ForceOptimizer`.
+        cone_margin: `Grasp.cone_margin` of the force [N]; > 0 strictly inside.
+        limit_excess: largest excess of a limit as a fraction of that limit; see `elastic` of
+            `ForceOptimizer`.
         objective_trace: Phi of every iterate with `trace=True`; else empty.
     """
 

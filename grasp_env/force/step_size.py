@@ -111,12 +111,10 @@ class AdaptiveStep(_Checked):
         shrink: factor, 0.001 to 0.999, after a rejected step.
 
     Example:
-        >>> from grasp_env.force import optimize_force
+        >>> from grasp_env.force import ForceOptimizer
         >>> from grasp_env.grasp import presets
-        >>> grasp, wrench = presets.tripod(), [1, 0, 0, 0, 0, 0]
-        >>> plain, named = (optimize_force(grasp, wrench, method="reduced_flow", step_rule=rule) for rule in (None, AdaptiveStep()))
-        >>> plain.iterations == named.iterations            # the default
-        True
+        >>> ForceOptimizer(presets.tripod(), method="reduced_flow").step_rule       # the default
+        AdaptiveStep(first=0.3, grow=1.5, shrink=0.5)
     """
 
     first: float = 0.3

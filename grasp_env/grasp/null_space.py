@@ -14,10 +14,9 @@ def null_space_basis(grasp: Grasp, reference: Array | None = None) -> Array:
     """Return orthonormal internal forces of `grasp`, as close as possible to `reference`.
 
     The reference directions are projected on the null space of G and orthonormalised by their polar
-    factor B (B^T B)^-1/2. It is a smooth function of the contacts as long as the projection has
-    full rank and `null_dimension` does not change. The computation uses object-frame vectors, so it
-    stays smooth when the tangents of `contact_frames` switch axes. The forces balance without the
-    torsions of soft contacts.
+    factor B (B^T B)^-1/2. It is a smooth function of the contacts, also where the tangents of
+    `contact_frames` switch axes, as long as the projection has full rank and `null_dimension` does
+    not change. The forces balance without the torsions of soft contacts.
 
     Args:
         grasp: the contacts.

@@ -43,8 +43,7 @@ class ForceClosure:
             [N]. The sum of mu * normal is one, unless limits determine it. None if not closed.
         torsion: (N,) torsions of this force [N m]; None if not closed.
         twist: (6,) the witness against closure: a twist v, [linear; angular], whose largest
-            component is one. Along v no contact force inside its cone does negative work (G_i^T v
-            is in every dual cone), and some do positive work. So v . G f > 0 for every f strictly
+            component is one. G_i^T v is in every dual cone, so v . G f > 0 for every f strictly
             inside, and G f = 0 is impossible. If rank(G) < 6, no contact force does any work along
             v. None if closed.
         error: residual of the witness. Closed: largest |component| of G f relative to sum |f|. Not

@@ -24,10 +24,9 @@ class Feasibility:
             Close to the boundary of what contacts and limits can balance, it is balanced to 1e-9 of
             the wrench.
         torsion: (N,) torsions of soft contacts [N m]; None if infeasible.
-        certificate: (6,) a twist v with G_i^T v in every dual cone and v . w > 0, so that balance G
-            f + w = 0 is impossible. With limits, v . w > -v . G f for every force within them. For
-            a zero wrench v . w = 0: without force closure an internal force needs every contact
-            force on the boundary of its cone. None if feasible.
+        certificate: (6,) a twist v with G_i^T v in every dual cone and v . w > 0 (v . w = 0 for a
+            zero wrench), so that balance G f + w = 0 is impossible. With limits, v . w > -v . G f
+            for every force within them. None if feasible.
         margin: depth inside cones and limits, see `feasibility`; <= 0 if infeasible.
     """
 
@@ -63,9 +62,9 @@ class Deepest(NamedTuple):
 def feasibility(grasp: Grasp, wrench: Wrench, limits: ForceLimits | None = None) -> Feasibility:
     """Find the balanced force with the largest margin to cones and limits, or disprove it.
 
-    The core maximises the depth m subject to sum u + r = 1 and m <= r. Here r scales the wrench, x
-    / r is the force, and every cone and limit has at least the slack m. This problem always has a
-    solution. If m > 0, x / r is strictly inside.
+    The core maximises the depth m subject to sum u + r = 1 and m <= r. Here r scales the wrench,
+    x / r is the force, and every cone and limit has at least the slack m. If m > 0, x / r is
+    strictly inside.
 
     Args:
         grasp: the contacts, of any models.

@@ -1,21 +1,20 @@
 """The worst wrench of a set, on the exact cones, with a certified interval.
 
 The cost c(w) of a wrench w is the smallest size of a contact force that balances w. The size of a
-force is the sum or the maximum of its normal forces. The optimal force is one of that size. c is
-convex. By duality, c(w) is the maximum over twists n of -n . w / h(n). Here h(n) is the largest n .
-G f over the forces f in the cones of size <= 1; `_largest_wrenches` computes it in closed form.
-Maximising c over a ball is a convex maximisation. The maximum is bounded from both sides:
+force is the sum or the maximum of its normal forces. c is convex. By duality, c(w) is the maximum
+over twists n of -n . w / h(n). Here h(n) is the largest n . G f over the forces f in the cones of
+size <= 1; `_largest_wrenches` computes it in closed form. The maximum of c over a ball is bounded
+from both sides:
 
 - Below, by ascent: solve the conic problem at w and take its multipliers n, for which h(n) <= 1.
   Replace w by the wrench of the ball with the largest -n . w, and repeat. c never decreases, since
   c(w') >= -n . w' for every w'.
 - Above, without limits, by an inner hull: the convex hull of some wrenches G f of forces f of size
-  <= 1. It lies inside the set of all such wrenches. So c is at most the factor by which the hull
-  must be scaled to contain the ball. The facet that is nearest to the origin, relative to the ball,
-  determines this factor. The next wrench of the hull is the one with the largest n . G f for the
-  normal n of this facet. This is repeated until the gap is closed. Zheng 2013 ("An efficient
-  algorithm for a grasp quality measure", IEEE T-RO 29(2)) does this for the quality measure
-  epsilon.
+  <= 1. c is at most the factor by which the hull must be scaled to contain the ball. The facet that
+  is nearest to the origin, relative to the ball, determines this factor. The next wrench of the
+  hull is the one with the largest n . G f for the normal n of this facet. This is repeated until
+  the gap is closed, as Zheng 2013 does for epsilon ("An efficient algorithm for a grasp quality
+  measure", IEEE T-RO 29(2)).
 - Above, with limits, by an outer polytope, which contains the ball: c is convex, so its maximum
   over the polytope is that of a vertex.
 """
@@ -171,8 +170,8 @@ def worst_case(
 ) -> WorstCase:
     """Find the worst wrench of a set: the one of the largest cost.
 
-    The cost of a wrench is the smallest size of a contact force that balances it. If `wrenches` is
-    a ball and the grasp has no force closure, the worst wrench has an infinite cost.
+    The cost of a wrench is the smallest size of a contact force that balances it; in a ball it may
+    be infinite, without force closure.
 
     Args:
         grasp: the contacts, of any models.

@@ -261,7 +261,7 @@ def test_one_missed_tick_does_not_let_a_finger_go() -> None:
     env = FourFingerGrasp()
     env.reset(seed=0)
     env.step(np.zeros(6, dtype=np.float32))
-    core, touching = env._loop._core, env.scene.look().touching
+    core, touching = env._loop.core, env.scene.look().touching
     held = []
     for touches in (0, 1, 1, 0, 1, 0, 1, 0, 0, 0):  # the thumb
         touching[:] = [touches, 1, 1, 1]
