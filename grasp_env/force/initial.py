@@ -28,8 +28,7 @@ from grasp_env.inputs.arguments import (
 )
 
 BALANCE_TOLERANCE = 1e-8
-"""Largest imbalance of a given start, relative to its force and wrench; above it, the error reports
-the imbalance."""
+"""Imbalance of a start, relative to its force and wrench, above which the error reports it."""
 
 
 class InitialForceRule(Protocol):
@@ -49,8 +48,7 @@ class CompiledRule(InitialForceRule, Protocol):
     """A rule whose network the core evaluates, so that start and method are one compiled call.
 
     Attributes:
-        remembers: True if a call starts from the previous solution when that has a smaller Phi than
-            the prediction.
+        remembers: True to start from the previous solution when its Phi is smaller.
     """
 
     remembers: bool
@@ -120,11 +118,11 @@ class LinearCombination:
     """The paper's start: non-negative combination of the 12 offline optima (Sec. III, Eqs. 32-34).
 
     The printed combination is zero at w = 0, where P is singular. Therefore max(0, 1 - sum E_k)
-    times the optimum at w = 0 is added.
+    times the optimum at w = 0 is added, unless `printed`.
 
     Attributes:
         objective: the Phi whose optima are combined.
-        printed: True leaves out the added force; then there is no start at w = 0.
+        printed: True for the combination as printed.
 
     Example:
         >>> from grasp_env.grasp import presets
@@ -158,7 +156,7 @@ def checked_initial(initial: Any) -> Any:
         )
         return choice(initial, "initial-force rule", NAMES, hint)
     is_force = initial is None or isinstance(initial, ForceSolution | np.ndarray | list | tuple)
-    if not is_force and (isinstance(initial, type) or not callable(initial)):
+    if not is_force and (not callable(initial) or isinstance(initial, type)):
         raise InvalidInputError(
             f"initial must be a rule's name, a rule(grasp, wrench), an (N, 3) force or a ForceSolution, got {shown(initial)}"
         )

@@ -1,7 +1,6 @@
 """Limits on a grasp's forces besides friction: least and largest normal forces, and joint torques.
 
-abs(J^T f + tau_0) <= tau_max is the effort limit of Han, Trinkle, Li 2000 and Lippiello, Siciliano,
-Villani 2013. All limits are linear in the forces; `ForceLimits.rows` returns them as A f <= b.
+The limit on joint torques is that of Han, Trinkle, Li 2000 and Lippiello, Siciliano, Villani 2013.
 """
 
 from __future__ import annotations
@@ -23,13 +22,8 @@ from grasp_env.inputs.arguments import AllFaults, Array, as_array, instance, num
 class LimitArrays(NamedTuple):
     """Limits of N contacts and J joints as arrays of full shape.
 
-    Attributes:
-        min_normal: (N,) [N].
-        max_normal: (N,) [N], inf where unlimited.
-        jacobian: (N, 6, J), with zero angular rows if only (N, 3, J) was given; J = 0 without
-            torque limits.
-        torque_limit: (J,) [N m], inf where unlimited.
-        torque_bias: (J,) tau_0 [N m].
+    The Jacobian is (N, 6, J), with zero angular rows if only (N, 3, J) was given; J = 0 without
+    torque limits.
     """
 
     min_normal: Array
@@ -54,13 +48,7 @@ class LimitRows(NamedTuple):
 
 
 class LimitSlack(NamedTuple):
-    """Smallest slack of each kind of limit; negative if violated, inf without such limits.
-
-    Attributes:
-        min_normal: least (normal - min_normal) [N].
-        max_normal: least (max_normal - normal) [N].
-        torque: least (torque_limit - abs(torque)) [N m].
-    """
+    """Smallest slack [N, N m] of each kind of limit; negative if violated, inf without limits."""
 
     min_normal: float
     max_normal: float
@@ -108,7 +96,7 @@ class ForceLimits:
             )
             most = check(_bound, self.max_normal, "max_normal", "contact", ranges.NORMAL_FORCE)
         _check_order(np.atleast_1d(least), np.atleast_1d(most))
-        arrays: dict[str, Array] = {"min_normal": least, "max_normal": most}
+        arrays = {"min_normal": least, "max_normal": most}
         if (self.jacobian is None) != (self.torque_limit is None):
             raise InvalidInputError(
                 "torque limits need jacobian and torque_limit together, got only "
@@ -135,11 +123,7 @@ class ForceLimits:
             object.__setattr__(self, name, array)
 
     def checked(self, n_contacts: int) -> LimitArrays:
-        """Return the limits of `n_contacts` contacts as arrays of full shape.
-
-        Raises:
-            InvalidInputError: limits or a Jacobian for another number of contacts.
-        """
+        """Return the limits of `n_contacts` contacts as arrays of full shape."""
         n_contacts = whole(n_contacts, "n_contacts", 1, ranges.CONTACTS)
 
         def per_contact(name: str) -> Array:
@@ -150,17 +134,13 @@ class ForceLimits:
                 )
             return np.broadcast_to(value, (n_contacts,)).copy()
 
-        least = per_contact("min_normal")
-        most = per_contact("max_normal")
-        nothing = np.zeros(0)
+        normals = per_contact("min_normal"), per_contact("max_normal")
         if self.jacobian is None:
-            return LimitArrays(least, most, np.zeros((n_contacts, 6, 0)), nothing, nothing)
+            return LimitArrays(*normals, np.zeros((n_contacts, 6, 0)), np.zeros(0), np.zeros(0))
         rows = checked_jacobian(self.jacobian, n_contacts)
         jac = np.zeros((n_contacts, 6, rows.shape[2]))
         jac[:, : rows.shape[1]] = rows
-        return LimitArrays(
-            least, most, jac, np.array(self.torque_limit), np.array(self.torque_bias)
-        )
+        return LimitArrays(*normals, jac, np.array(self.torque_limit), np.array(self.torque_bias))
 
     @property
     def joints(self) -> int:
@@ -271,11 +251,8 @@ def _in_contact_frames(grasp: Grasp, jacobian: Array) -> Array:
 def _with_torsion(grasp: Grasp, force: ArrayLike, torsion: ArrayLike | None) -> Array:
     """Return (N, 4): normal, o, t, torsion."""
     forces = as_array(force, (grasp.n_contacts, 3), "force", ranges.SIZE)
-    torsions = (
-        np.zeros(len(forces))
-        if torsion is None
-        else as_array(torsion, (len(forces),), "torsion", ranges.SIZE)
-    )
+    torsions = np.zeros(len(forces)) if torsion is None else torsion
+    torsions = as_array(torsions, (len(forces),), "torsion", ranges.SIZE)
     return np.column_stack([forces, torsions])
 
 

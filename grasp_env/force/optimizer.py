@@ -66,7 +66,7 @@ class ForceOptimizer:
     once. The class wraps the C++ class `grasp::ForceOptimizer`.
 
     Args:
-        grasp: the contacts. `solve` accepts others; `update` replaces them.
+        grasp: the contacts; `update` replaces them.
         method: "newton" minimises Phi in about six steps. "full_flow" is the gradient flow exactly
             as the paper prints it, on dense matrices, for N <= 8. "reduced_flow" is the same flow
             on the 3N force components only, which is much cheaper. "conic" minimises the weighted
@@ -172,7 +172,6 @@ class ForceOptimizer:
         elif isinstance(initial, str):
             start = STARTS.index(initial)
             remembers = initial == "previous"
-        # a protocol is slow to compare with
         elif initial is not None and isinstance(initial, CompiledRule):
             start = LEARNED
             remembers = bool(initial.remembers)
@@ -227,7 +226,7 @@ class ForceOptimizer:
 
     @property
     def grasp(self) -> Grasp:
-        """The contacts of the constructor or of the last `update`."""
+        """The contacts."""
         return self._grasp
 
     @property
@@ -262,10 +261,7 @@ class ForceOptimizer:
 
     @property
     def previous(self) -> ForceSolution | None:
-        """The last solution; None before the first call and after `forget`.
-
-        It is the start with `initial="previous"`.
-        """
+        """The last solution, the start with `initial="previous"`; None before the first call."""
         return self.core.previous
 
     @previous.setter
@@ -333,7 +329,7 @@ class ForceOptimizer:
         arrays = (positions, normals, friction, jacobian, torque_bias, contacts)
         if initial is None and optimum is None and trace is False and self.core_finds_start:
             solution = self._solve(wrench, arrays, None)
-            if solution is NotImplemented:  # an argument is not an array that can be read in place
+            if solution is NotImplemented:  # an argument cannot be read in place
                 solution = self._solve(*self._checked(wrench, arrays), None)
             start = OWN_START
         else:
@@ -496,7 +492,7 @@ class ForceOptimizer:
             try:
                 call = self._arrays(*arrays)
                 grasp = touching_grasp(self.grasp, call)
-            except GraspError:  # the caller has overwritten its arrays since
+            except GraspError:  # the caller has overwritten the arrays
                 return explain(solution, None, limits)
             limits = self._limits_of(call)
         return explain(solution, grasp, limits)
@@ -531,8 +527,8 @@ class ForceOptimizer:
         return self._rank_error(grasp)
 
     def _rank_error(self, grasp: Grasp) -> GraspError:
-        flows = f"; method {self.method!r} needs that, 'newton' and 'conic' solve the wrenches that are within reach"
-        return rank_error(grasp.rank, grasp.n_contacts, flows if self.options.flows else "")
+        hint = f"; method {self.method!r} needs that, 'newton' and 'conic' solve the wrenches that are within reach"
+        return rank_error(grasp.rank, grasp.n_contacts, hint * self.options.flows)
 
     def __getstate__(self) -> dict[str, Any]:
         kept = {name: value for name, value in vars(self).items() if name not in ("core", "_solve")}

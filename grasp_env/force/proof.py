@@ -10,10 +10,9 @@ from grasp_env.grasp.grasp import Grasp, transmitted_matrix
 from grasp_env.inputs.arguments import Array
 
 NEGLIGIBLE_MULTIPLIER = 1e-6
-"""Fraction of the largest multiplier up to which a limit does not count as needed."""
+"""Fraction of the largest multiplier up to which a limit is not needed."""
 SLIPPING = 1e-3
-"""Relative distance of q_i to the surface of its dual cone up to which contact i counts as
-slipping."""
+"""Relative distance of q_i to the surface of its dual cone up to which contact i slips."""
 ROUNDING = 1e-6
 """Largest violation of a valid proof, relative to the size of its terms."""
 UNMOVED = 1e-9
@@ -53,13 +52,10 @@ def explain(solution: ForceSolution, grasp: Grasp | None, limits: ForceLimits | 
         )
     needed = _needed(solution, limits)
     slipping = [] if grasp is None else _slipping(solution, grasp, limits)
-    where = (
-        f" of contact{'s' * (len(slipping) > 1)} {', '.join(map(str, slipping))}"
-        if slipping
-        else ""
-    )
+    plural = "s" * (len(slipping) > 1)
+    where = f" of contact{plural} {', '.join(map(str, slipping))}" if slipping else ""
     if needed:
-        cones = f" and the friction cone{'s' * (len(slipping) > 1)}{where}" if where else ""
+        cones = f" and the friction cone{plural}{where}" if where else ""
         return (
             f"no force strictly inside the friction cones and limits balances {wrench}; the proof needs the limits {'; '.join(needed)}{cones} "
             f"({shown} and their multipliers: error.solution.certificate, .limit_multipliers): widen them (elastic=True returns the force "
@@ -83,14 +79,12 @@ def _needed(solution: ForceSolution, limits: ForceLimits | None) -> list[str]:
     if limits is None or not len(multipliers) or not multipliers.max() > 0.0:
         return []
     labels = limits.labels(solution.n_contacts)
-    order = [
-        k
-        for k in np.argsort(-multipliers, kind="stable").tolist()
-        if multipliers[k] > NEGLIGIBLE_MULTIPLIER * multipliers.max()
-    ]
-    return [labels[k] for k in order[:MOST_NAMED]] + [f"and {len(order) - MOST_NAMED} more"] * (
-        len(order) > MOST_NAMED
-    )
+    least = NEGLIGIBLE_MULTIPLIER * multipliers.max()
+    order = np.argsort(-multipliers, kind="stable").tolist()
+    needed = [labels[k] for k in order if multipliers[k] > least]
+    if len(needed) > MOST_NAMED:
+        needed[MOST_NAMED:] = [f"and {len(needed) - MOST_NAMED} more"]
+    return needed
 
 
 def _slipping(solution: ForceSolution, grasp: Grasp, limits: ForceLimits | None) -> list[int]:

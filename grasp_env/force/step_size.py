@@ -19,7 +19,7 @@ from grasp_env.inputs.arguments import AllFaults, Array, choice, positive
 from grasp_env.inputs.ranges import Range
 
 FIXED, ARMIJO, ADAPTIVE, BARZILAI_BORWEIN, EXACT = range(5)
-"""Kinds of rules, their first parameter."""
+"""Kinds of rules."""
 VARIANTS = ("alternate", "long", "short")
 _FRACTION = Range(1e-300, 1.0 - 2.0**-53, "(less than 1)")
 _RANGES = {
@@ -57,7 +57,7 @@ class _Checked:
 
 @dataclass(frozen=True)
 class FixedStep(_Checked):
-    """Constant step, halved within an iteration if it leaves a cone or does not decrease Phi.
+    """Constant step, halved within an iteration if it is not accepted.
 
     Attributes:
         size: alpha [N / force_weight], 1e-15 to 1e12.
@@ -101,9 +101,7 @@ class ArmijoStep(_Checked):
 
 @dataclass(frozen=True)
 class AdaptiveStep(_Checked):
-    """Accept the first of alpha, alpha * shrink, ... that decreases Phi inside the cones.
-
-    Then multiply alpha by `grow`.
+    """Accept the first of alpha, alpha * shrink, ..., then multiply alpha by `grow`.
 
     Attributes:
         first: first trial step of every solve [N / force_weight].
@@ -130,14 +128,11 @@ class AdaptiveStep(_Checked):
 class BarzilaiBorweinStep(_Checked):
     """Barzilai and Borwein (1988) in the metric of P: inverse curvature, kept monotone.
 
-    With s the previous step and y the change of the projected gradient, "long" is <s, s> / <s, y>
-    and "short" <s, y> / <y, y>. "alternate" uses the long one after every second step. The first
-    iteration tries `first`.
-
     Attributes:
-        first: first trial step of every solve [N / force_weight].
-        shrink: factor, 0.001 to 0.999, after a step that leaves a cone or does not decrease Phi.
-        variant: "alternate", "long" or "short".
+        first, shrink: as in `AdaptiveStep`.
+        variant: with s the previous step and y the change of the projected gradient, "long" is
+            <s, s> / <s, y> and "short" <s, y> / <y, y>; "alternate" is the long one after every
+            second step.
 
     Example:
         >>> from grasp_env.force import optimize_force
@@ -165,8 +160,8 @@ class ExactStep(_Checked):
     """Exact line search by safeguarded Newton on the derivative of Phi along the ray.
 
     Attributes:
-        precision: fraction in (0, 1) of the slope at alpha = 0 at which the search ends. The flow
-            needs FEWER iterations with 0.1 than with the exact minimum, whose directions zigzag.
+        precision: fraction in (0, 1) of the slope at alpha = 0 at which the search ends; 0.1 needs
+            FEWER iterations than the exact minimum, whose directions zigzag.
     """
 
     precision: float = 1e-3

@@ -37,8 +37,7 @@ def joint_torques(
         (J,) torques [N m]; forces [N] for prismatic joints.
 
     Raises:
-        InvalidInputError: shapes that do not match, values that are not finite, or moments with a
-            Jacobian (N, 3, J).
+        InvalidInputError: shapes that do not match, or values that are not finite.
 
     Example:
         >>> joint_torques([[[0.0, 0.1], [0.0, 0.0], [0.0, 0.0]]], [[2.0, 0.0, 0.0]], bias=[0.5, 0.0])

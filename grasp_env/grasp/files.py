@@ -88,15 +88,9 @@ def load_grasp(path: str | Path) -> Grasp:
         raise GraspFileError(
             f"grasp file {file}: contact_model must be a name or a list of N names, got {shown(models)}"
         )
+    arguments = {key: values[key] for key in (*_REQUIRED, *_OPTIONAL) if key in values}
     try:
-        return Grasp.from_contacts(
-            values["positions"],
-            values["normals"],
-            values["friction"],
-            contact_model=models,
-            torsional_friction=values.get("torsional_friction"),
-            tangents=values.get("tangents"),
-        )
+        return Grasp.from_contacts(**arguments)
     except GraspError as error:
         raise GraspFileError(f"grasp file {file}: {error}") from error
 

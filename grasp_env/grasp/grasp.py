@@ -73,11 +73,10 @@ class Grasp:
             contacts.
         frames: (N, 3, 3) columns (n, o, t) in object coordinates.
         matrix: G, (6, 3N), columns (normal, o, t) per contact.
-        length: root mean square distance of the contacts from their centre [m]; it scales moments.
+        length: root mean square distance of the contacts from `centre` [m].
         centre: (3,) mean of the contact points [m], object frame.
-        cone_matrix: (6, 3N) G in cone coordinates x; cone_matrix @ grasp.to_cone(f) = matrix @ f.
-        models: contact models, elliptic and torsional friction, and the scaling of cone
-            coordinates.
+        cone_matrix: (6, 3N) G in cone coordinates; cone_matrix @ grasp.to_cone(f) = matrix @ f.
+        models: contact models with all friction and the scaling of cone coordinates.
         torsion_matrix: (6, N) wrenches of unit torsions; zero columns unless soft.
         unit_frame: (6, 6) matrix; unit_frame @ wrench = (force, moment about `centre` divided by
             `length`) [N]. These components depend neither on the origin nor on the unit of length.

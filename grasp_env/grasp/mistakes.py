@@ -25,13 +25,11 @@ DEGREES = 5.0
 WIDEST_PATCH = 0.1
 """Torsional friction that needs a contact patch as wide as a hand [m]."""
 FAR, VERY_FAR = 8.0, 15.0
-"""Distance of the origin from the contacts, in lengths of the grasp; no tool that is held reaches
-the second."""
+"""Distance of the origin from the contacts, in lengths of the grasp; no tool reaches the second."""
 ARM = 0.4
 """Distance of the origin that can be near certain to be a mistake [m]."""
 SHORT_LEVER = 4.0
-"""Moment over force of a usual wrench, in lengths or reaches of the grasp; the reach is the length
-plus the origin's distance."""
+"""Moment over force of a usual wrench, in lengths or reaches (length plus origin's distance)."""
 LONG_LEVER = 20.0
 """Moment over force of a wrench that hardly pushes, in reaches."""
 PURE_MOMENT = 50.0
@@ -39,15 +37,13 @@ PURE_MOMENT = 50.0
 TURNING = 10.0
 """Moment over the grasp's length that is too small to mistake for a force [N]."""
 STRONGEST, WEAKEST = 500.0, 1.0 / 300.0
-"""Torque limit over the torque that a load needs, beyond which the limit has another unit."""
+"""Torque limit over the torque that a load needs, beyond which its unit is wrong."""
 SMALLEST_LOAD = 0.1
 """Load below which torque limits are not judged [N]."""
 LARGEST_CONDITION = 1e3
-"""Condition number of G, with moments divided by the grasp's length, above which some wrenches need
-very large forces."""
+"""Condition number of G, moments divided by the length, with which wrenches need huge forces."""
 SMALLEST_DISTANCE = 0.01
-"""Distance of two contacts, as a fraction of the grasp's length, below which they act like one
-contact."""
+"""Distance of two contacts, in lengths of the grasp, below which they act like one contact."""
 _CONVERGED = core.codes()["converged"]
 
 
