@@ -129,7 +129,6 @@ class UnknownSettingError(UnknownNameError, TypeError):
 
 
 def _restore(kind: type[GraspError], message: str, attributes: dict[str, Any]) -> GraspError:
-    """Return an unpickled error."""
     error = kind.__new__(kind, message)
     error.__dict__.update(attributes)
     return error

@@ -109,9 +109,7 @@ class EnvConfig(Settings):
     """
 
     hand: str | HandDescription = setting(
-        "four_finger",
-        HAND,
-        "The hand. If it is not `placed`, `place_hand` puts it around the object.",
+        "four_finger", HAND, "The hand. If not `placed`, `place_hand` puts it around the object."
     )
     object: ObjectDescription = setting(
         ObjectDescription(),

@@ -98,7 +98,7 @@ class SolverSettings(Settings):
     force_weight: float = setting(
         1.0,
         real(ranges.FORCE_WEIGHT),
-        "Weight of the forces in Phi, and of the normal forces under `conic`.",
+        "Weight of forces in Phi, and of normal forces under `conic`.",
     )
     barrier_weight: float = setting(
         Objective.barrier_weight,
@@ -107,14 +107,10 @@ class SolverSettings(Settings):
         unit="N^2",
     )
     tolerance: float = setting(
-        1e-4,
-        real(ranges.TOLERANCE),
-        "Relative gap to the certified bound at which the optimisation ends.",
+        1e-4, real(ranges.TOLERANCE), "Relative certified gap at which the optimisation ends."
     )
     max_iterations: int = setting(
-        5000,
-        integer(0),
-        "Largest number of iterations of one optimisation.",
+        5000, integer(0), "Largest number of iterations of one optimisation."
     )
 
     def agree(self) -> None:
@@ -138,7 +134,7 @@ class ControllerSettings(Settings):
     kind: str = setting(
         "optimized",
         one_of(CONTROLLERS),
-        "Optimised forces as in the paper; a constant internal force plus the least-norm balance; or springs that hold the tips in place.",
+        "Optimised forces; a constant internal force plus the least-norm balance; or springs that hold the tips in place.",
     )
     rate: int = setting(
         250, integer(1), "Control ticks per second; a multiple of `agent.rate`.", unit="Hz"
@@ -170,19 +166,13 @@ class ControllerSettings(Settings):
         unit="N/s",
     )
     force_noise: float = setting(
-        0.0,
-        real(NOT_NEGATIVE),
-        "Relative standard deviation of the delivered torques.",
-        random=True,
+        0.0, real(NOT_NEGATIVE), "Relative standard deviation of delivered torques.", random=True
     )
     motor_strength: float = setting(
         1.0, real(POSITIVE), "Delivered torque as a share of the commanded one.", random=True
     )
     squeeze: float = setting(
-        40.0,
-        real(POSITIVE),
-        "Total normal force of the controllers that do not optimise.",
-        unit="N",
+        40.0, real(POSITIVE), "Total normal force of controllers that do not optimise.", unit="N"
     )
     pd_stiffness: float = setting(
         800.0, real(POSITIVE), "Stiffness of each tip under `pd`.", unit="N/m"
@@ -212,9 +202,7 @@ class AgentSettings(Settings):
         "vector", one_of(("vector", "dict")), "One vector, or a dict of named parts."
     )
     info: str = setting(
-        "all",
-        one_of(("all", "numbers")),
-        "Contents of info: everything, or numbers only, as arrays.",
+        "all", one_of(("all", "numbers")), "Contents of info: all, or numbers only, as arrays."
     )
 
 
@@ -238,12 +226,12 @@ class RewardSettings(Settings):
     iterations: float = setting(
         0.5,
         real(WEIGHT),
-        "Weight of the method's iterations as a share of `iteration_scale`; rewards starts near the optimum.",
+        "Weight of the method's iterations over `iteration_scale`; rewards starts near the optimum.",
     )
     force: float = setting(
         0.1,
         real(WEIGHT),
-        "Weight of the share of the commanded normal forces above the least that balances the wrench; rewards a light grip.",
+        "Weight of the share of the normal forces above the least that balances the wrench; rewards a light grip.",
     )
     torque: float = setting(
         0.1,
@@ -253,12 +241,10 @@ class RewardSettings(Settings):
     force_change: float = setting(
         0.1,
         real(WEIGHT),
-        "Weight of the change of the commanded forces in the step, as a share of the forces before and after; rewards calm fingers.",
+        "Weight of the change of the commanded forces, as a share of those before and after; rewards calm fingers.",
     )
     iteration_scale: float = setting(
-        200.0,
-        real(POSITIVE),
-        "Number of iterations that costs the whole weight; more cost the same.",
+        200.0, real(POSITIVE), "Iterations that cost the whole weight; more cost the same."
     )
     failure_cost: float = setting(
         0.0, real(NOT_NEGATIVE), "Cost of the step in which the object is lost."
@@ -322,10 +308,7 @@ class EpisodeLimits(Settings):
         0.1, real(POSITIVE), "Time without force closure before the grasp counts as lost.", unit="s"
     )
     max_slide: float = setting(
-        3e-3,
-        real(NOT_NEGATIVE),
-        "Distance that a touching fingertip may have slid on the object.",
-        unit="m",
+        3e-3, real(NOT_NEGATIVE), "Distance that a fingertip may have slid on the object.", unit="m"
     )
     max_overlap: float = setting(
         5e-4, real(NOT_NEGATIVE), "Largest penetration of a fingertip into the object.", unit="m"

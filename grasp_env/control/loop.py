@@ -46,8 +46,7 @@ rest posture."""
 REACH_MASS = 0.03
 """Mass [kg] of the lightest tip for which reaching is critically damped."""
 MAX_STIFFNESS, MAX_DAMPING = 0.5, 1.0
-"""Largest stiffness * dt^2 / mass and damping * dt / mass; sampled control of a light link diverges
-from 4 and from 2 on."""
+"""Largest stiffness * dt^2 / mass and damping * dt / mass; sampled control diverges from 4 and 2."""
 MAX_BANDWIDTH = 0.3
 """Largest bandwidth times delay; critically damped feedback oscillates from 0.65 on."""
 
@@ -342,11 +341,8 @@ def stable_spring(
     """Return a spring that is stable when sampled every `dt` [s]; mobility in 1 / (kg [m^2])."""
     if not mobility > 0.0:
         return core.Spring(0.0, 0.0, limit)
-    return core.Spring(
-        min(stiffness, MAX_STIFFNESS / (mobility * dt**2)),
-        min(damping, MAX_DAMPING / (mobility * dt)),
-        limit,
-    )
+    stiffness = min(stiffness, MAX_STIFFNESS / (mobility * dt**2))
+    return core.Spring(stiffness, min(damping, MAX_DAMPING / (mobility * dt)), limit)
 
 
 def believed_body(config: EnvConfig, item: ObjectDescription) -> core.Body:

@@ -188,8 +188,8 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     | `failure`, `fault`, `is_success` | | str, str, bool | see "Episode end" |
     | `reward/held`, ... | | 1 | terms of the reward |
 
-    `agent={"info": "numbers"}` leaves the strings out and makes arrays of all numbers, for readers
-    such as torchrl's.
+    `agent={"info": "numbers"}` leaves the strings out and makes arrays of all numbers, as torchrl
+    needs.
 
     `force_closure` is always True where forces are not optimised: with the controllers
     "constant_squeeze" and "pd" and the action mode "contact_force". "pd" commands no forces: its
@@ -271,8 +271,6 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Return to the settled grasp, with a new disturbance and new randomised settings.
-
-        A closed environment opens again.
 
         Args:
             seed: seed of everything that is drawn; None: the generator continues.

@@ -141,5 +141,4 @@ def _compiled_grasps(
 
 
 GRASPS = 512
-"""Number of grasps per call of the core; fixed, so that the results do not depend on the number of
-threads."""
+"""Number of grasps per call of the core, fixed as `CHUNK` is."""

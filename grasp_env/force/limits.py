@@ -186,12 +186,8 @@ class ForceLimits:
         capacity = 2 * (count + len(limit))
         matrix = np.empty((capacity, count, 4))
         bound = np.empty(capacity)
-        used = core.limit_rows(
-            (least, most, _in_contact_frames(grasp, jac), limit, bias),
-            matrix,
-            bound,
-            np.empty(capacity),
-        )
+        limits = least, most, _in_contact_frames(grasp, jac), limit, bias
+        used = core.limit_rows(limits, matrix, bound, np.empty(capacity))
         assert used == len(labels)
         transmitted = np.ones((count, 4))
         transmitted[:, :3] = grasp.models.transmitted

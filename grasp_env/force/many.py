@@ -98,7 +98,7 @@ class ForceSolutions(Sequence[ForceSolution]):
 
     @property
     def objective(self) -> Array:
-        """(M,) inf without a force."""
+        """(M,) objectives; inf without a force."""
         return self.records[:, at.OBJECTIVE]
 
     @property
@@ -108,12 +108,12 @@ class ForceSolutions(Sequence[ForceSolution]):
 
     @property
     def equilibrium_residual(self) -> Array:
-        """(M,) [N]."""
+        """(M,) residuals of balance [N]."""
         return self.records[:, at.RESIDUAL]
 
     @property
     def cone_margin(self) -> Array:
-        """(M,) [N]."""
+        """(M,) margins to the cones [N]."""
         return self.records[:, at.MARGIN]
 
     def counts(self) -> dict[Status, int]:
@@ -151,12 +151,11 @@ def solve_many(optimizer: Any, loads: Array, threads: int) -> ForceSolutions:
     """Solve for all wrenches (M, 6) on the contacts of an optimizer, independently of each other."""
     records = np.empty((len(loads), optimizer.core.size))
     if optimizer.core_finds_start:
-        over_parts(
-            lambda chunk: optimizer.core.solve_many(loads[chunk], records[chunk]),
-            len(loads),
-            CHUNK,
-            threads,
-        )
+
+        def work(chunk: slice) -> None:
+            optimizer.core.solve_many(loads[chunk], records[chunk])
+
+        over_parts(work, len(loads), CHUNK, threads)
     else:
         for load, record in zip(loads, records, strict=True):
             optimizer.forget()
@@ -180,8 +179,7 @@ def solve_one(optimizer: Any, load: Array, record: Array) -> None:
 
 
 CHUNK = 4096
-"""Number of problems per call of the core; fixed, so that the results do not depend on the number
-of threads."""
+"""Number of problems per call of the core; fixed, so that results do not depend on `threads`."""
 
 
 def over_parts(work: Callable[[slice], None], count: int, size: int, threads: int) -> None:

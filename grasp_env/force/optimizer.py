@@ -161,7 +161,6 @@ class ForceOptimizer:
             self.previous, self._initial = self._initial, "previous"
 
     def _make(self) -> None:
-        """Make the compiled optimizer."""
         grasp = self.grasp
         options = self.options
         initial = self._initial
@@ -177,11 +176,8 @@ class ForceOptimizer:
             remembers = bool(initial.remembers)
             try:
                 model = call_rule(initial, initial.model, grasp, options.objective)
-                instance(
-                    model,
-                    core.Model,
-                    f"what initial-force rule {rule_name(initial)!r} predicts with",
-                )
+                what = f"what initial-force rule {rule_name(initial)!r} predicts with"
+                instance(model, core.Model, what)
             except InfeasibleStartError as error:
                 if error.__cause__ is not None:  # the rule itself failed
                     raise
@@ -193,11 +189,10 @@ class ForceOptimizer:
             raise self._rank_error(grasp)
         weights: Any = options.objective
         plain = type(weights.force_weight) is float and type(weights.barrier_weight) is float
+        pair = weights.force_weight, weights.barrier_weight
         problem = core.Problem(
             grasp.contacts,
-            (weights.force_weight, weights.barrier_weight)
-            if plain
-            else weights.weights(grasp.n_contacts),
+            pair if plain else weights.weights(grasp.n_contacts),
             core_limits(self.limits, grasp.n_contacts),
         )
         settings = core.Options(
@@ -428,11 +423,8 @@ class ForceOptimizer:
             InvalidInputError, RankDeficientGraspError: as in `solve`; the optimizer is unchanged.
         """
         call = self._arrays(positions, normals, friction, jacobian, torque_bias)
-        grasp = (
-            touching_grasp(self.grasp, call)
-            if any(array is not None for array in call[:3])
-            else self.grasp
-        )
+        moved = any(array is not None for array in call[:3])
+        grasp = touching_grasp(self.grasp, call) if moved else self.grasp
         if self.options.flows and grasp.rank < 6:
             raise self._rank_error(grasp)
         if not self.core.update(call):
@@ -465,9 +457,8 @@ class ForceOptimizer:
             return StartRequest(STARTS.index(requested))
         if initial is None and isinstance(requested, CompiledRule):
             return OWN_START
-        grasp = (
-            self.grasp if all(array is None for array in call) else touching_grasp(self.grasp, call)
-        )
+        same = all(array is None for array in call)
+        grasp = self.grasp if same else touching_grasp(self.grasp, call)
         start = rule_start(requested, grasp, wrench, self.options.objective)
         if call.contacts is None or call.contacts.all():
             return start
@@ -504,7 +495,6 @@ class ForceOptimizer:
         arrays: tuple[Any, ...],
         start: StartRequest,
     ) -> GraspError:
-        """Return the error for a solution without a force."""
         code = solution.code
         if code == INFEASIBLE:
             return InfeasibleWrenchError("", solution, lambda: self._proof(solution, arrays))

@@ -64,15 +64,12 @@ def _checked(
     step_rule: StepRule | None,
     elastic: bool,
 ) -> Options:
+    barrier = Objective.barrier_weight if barrier_weight is None else barrier_weight
     with AllFaults() as check:
         options = Options(
             check(choice, method, "method", METHODS),
             check(choice, criterion, "criterion", CRITERIA),
-            check(
-                Objective,
-                force_weight,
-                Objective.barrier_weight if barrier_weight is None else barrier_weight,
-            ),
+            check(Objective, force_weight, barrier),
             check(_tolerance, tolerance, method),
             check(whole, max_iterations, "max_iterations", 0, ranges.ITERATIONS),
             check(checked_rule, step_rule),

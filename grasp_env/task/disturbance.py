@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from grasp_env.errors import InvalidInputError, shown
-from grasp_env.grasp.wrench import paper_path
+from grasp_env.grasp.wrench import PAPER_CONSTANT, paper_path
 from grasp_env.inputs import ranges
 from grasp_env.inputs.arguments import Array, as_array, call_user
 from grasp_env.settings import NOT_NEGATIVE, POSITIVE, Settings, any_of, numbers, real, setting
@@ -114,10 +114,7 @@ class ConstantWrench(DisturbanceSettings):
     name: ClassVar[str] = "constant"
 
     value: tuple[float, ...] = setting(
-        (1.0, 0.5, -0.6, -0.1, 0.2, 0.0),
-        numbers(6),
-        "Force and moment, object frame.",
-        unit="N, N m",
+        PAPER_CONSTANT, numbers(6), "Force and moment, object frame.", unit="N, N m"
     )
     scale: float = setting(1.0, real(), "Factor on the wrench.")
 
