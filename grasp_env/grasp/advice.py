@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 from numpy.typing import ArrayLike
@@ -9,7 +10,6 @@ from numpy.typing import ArrayLike
 from grasp_env.errors import InvalidInputError
 from grasp_env.grasp.grasp import Grasp, as_grasp
 from grasp_env.grasp.mistakes import (
-    Mistake,
     all_outward,
     coincident,
     condition,
@@ -55,19 +55,20 @@ def advise(grasp: Grasp, wrench: ArrayLike | None = None, limits: Any = None) ->
     as_grasp(grasp)
     load = None if wrench is None else as_wrench(wrench)
     jacobian, torque_limit = _torque_limits(grasp, limits)
-    mistakes = all_outward(grasp) + some_outward(grasp) + contact_units(grasp)
+    mistakes = [*all_outward(grasp), *some_outward(grasp), *contact_units(grasp)]
     if jacobian is not None:
         mistakes += lever_units(jacobian)
     if load is not None:
         mistakes += frame_and_order(grasp, load)
     if load is not None and jacobian is not None and torque_limit is not None:
         mistakes += torque_units(grasp, load, jacobian, torque_limit)
-    return [text for _, text in mistakes + coincident(grasp) + condition(grasp)]
+    mistakes += [*coincident(grasp), *condition(grasp)]
+    return [text for _, text in mistakes]
 
 
 def warn_of_contacts(grasp: Grasp, limits: Any = None) -> None:
     """Warn about near-certain mistakes in contacts and limits, at the caller's line."""
-    mistakes = all_outward(grasp) + contact_units(grasp)
+    mistakes = [*all_outward(grasp), *contact_units(grasp)]
     if limits is not None and limits.jacobian is not None:
         mistakes += lever_units(limits.jacobian)
     _warn(mistakes)
@@ -78,7 +79,7 @@ def warn_of_wrench(grasp: Grasp, wrench: Wrench) -> None:
     _warn(frame_and_order(grasp, wrench))
 
 
-def _warn(mistakes: list[Mistake]) -> None:
+def _warn(mistakes: Iterable[tuple[bool, str]]) -> None:
     texts = [text for near_certain, text in mistakes if near_certain]
     if texts:
         warn("; ".join(texts))

@@ -7,8 +7,9 @@ new grasp.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from math import hypot
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -47,44 +48,39 @@ SMALLEST_DISTANCE = 0.01
 _CONVERGED = core.codes()["converged"]
 
 
-class Mistake(NamedTuple):
-    """A likely mistake; `near_certain` if no plausible problem looks like this."""
-
-    near_certain: bool
-    text: str
+Mistakes = Iterator[tuple[bool, str]]
+"""Likely mistakes: True if no plausible problem looks like this, and the text."""
 
 
-def all_outward(grasp: Grasp) -> list[Mistake]:
+def all_outward(grasp: Grasp) -> Mistakes:
     """Judge normals that all point away from the centre of the contacts."""
     contacts = grasp.contacts
     mean = np.vdot(contacts.positions - contacts.centre, contacts.normals)  # nearly always negative
-    if mean <= 0.0 or not _away(grasp).all():
-        return []
-    text = (
-        f"all {grasp.n_contacts} normals point away from the centre of the contacts: normals must point INTO the object; change their "
-        "sign, unless the fingers press outwards from inside a hole"
-    )
-    return [Mistake(True, text)]
+    if mean > 0.0 and _away(grasp).all():
+        yield (
+            True,
+            f"all {grasp.n_contacts} normals point away from the centre of the contacts: normals must point INTO the object; change their "
+            "sign, unless the fingers press outwards from inside a hole",
+        )
 
 
-def some_outward(grasp: Grasp) -> list[Mistake]:
+def some_outward(grasp: Grasp) -> Mistakes:
     """Judge normals of which some point outwards, if turning these round allows a squeeze."""
     away = _away(grasp)
     models = grasp.models
     if not away.any() or away.all() or _can_squeeze(grasp.contacts):
-        return []
+        return
     # forces without torsion do not balance every wrench
     if models.transmitted.sum() - grasp.null_dimension < 6:
-        return []
+        return
     normals = np.where(away[:, None], -grasp.normals, grasp.normals)
     properties = models.cone_scale, models.torsional_friction, grasp.contacts.tangents
-    if not _can_squeeze(core.Contacts.put(grasp.positions, normals, *properties)):
-        return []
-    text = (
-        f"the normals of contacts {np.nonzero(away)[0].tolist()} point away from the centre of the contacts, and the fingers cannot "
-        "squeeze the object; with these normals reversed they could: normals must point INTO the object"
-    )
-    return [Mistake(False, text)]
+    if _can_squeeze(core.Contacts.put(grasp.positions, normals, *properties)):
+        yield (
+            False,
+            f"the normals of contacts {np.nonzero(away)[0].tolist()} point away from the centre of the contacts, and the fingers cannot "
+            "squeeze the object; with these normals reversed they could: normals must point INTO the object",
+        )
 
 
 def _away(grasp: Grasp) -> np.ndarray:
@@ -101,49 +97,47 @@ def _can_squeeze(contacts: core.Contacts) -> bool:
     return solver.deepest(*results)[0] == _CONVERGED
 
 
-def contact_units(grasp: Grasp) -> list[Mistake]:
+def contact_units(grasp: Grasp) -> Mistakes:
     """Judge the units of positions, friction and torsional friction."""
-    mistakes = []
     length = grasp.contacts.length
     if length > LONGEST:
-        text = f"the contacts lie {length:.3g} m from their centre (root mean square): positions are in metres; divide millimetres by 1000"
-        mistakes.append(Mistake(True, text))
+        yield (
+            True,
+            f"the contacts lie {length:.3g} m from their centre (root mean square): positions are in metres; divide millimetres by 1000",
+        )
     if grasp.largest_friction > ROUGHEST:
         friction = grasp.models.friction.max(axis=1)
         worst = int(friction.argmax())
-        text = (
+        yield (
+            bool(friction[worst] > DEGREES),
             f"friction is {friction[worst]:.3g} at contact {worst}: rubber reaches 1 to 2; give the coefficient, tan(friction angle), "
-            "not an angle in degrees"
+            "not an angle in degrees",
         )
-        mistakes.append(Mistake(bool(friction[worst] > DEGREES), text))
     if not grasp.hard:
         torsion = grasp.models.torsional_friction
         worst = int(torsion.argmax())
         if torsion[worst] > WIDEST_PATCH:
-            text = (
+            yield (
+                False,
                 f"torsional_friction is {torsion[worst]:.3g} m at contact {worst}: a fingertip has about 0.005 m; divide millimetres "
-                "by 1000"
+                "by 1000",
             )
-            mistakes.append(Mistake(False, text))
-    return mistakes
 
 
-def lever_units(jacobian: Array) -> list[Mistake]:
+def lever_units(jacobian: Array) -> Mistakes:
     """Judge the units of a Jacobian (N, 3 or 6, J)."""
     longest = np.abs(jacobian[:, :3]).max()
-    if longest <= LONGEST:
-        return []
-    text = (
-        f"the Jacobian's largest entry is {longest:.3g} m: a joint that far from its contact would be larger than a robot; lengths are "
-        "in metres, divide the linear rows by 1000 if they are in millimetres"
-    )
-    return [Mistake(True, text)]
+    if longest > LONGEST:
+        yield (
+            True,
+            f"the Jacobian's largest entry is {longest:.3g} m: a joint that far from its contact would be larger than a robot; lengths are "
+            "in metres, divide the linear rows by 1000 if they are in millimetres",
+        )
 
 
-def frame_and_order(grasp: Grasp, wrench: Wrench) -> list[Mistake]:
+def frame_and_order(grasp: Grasp, wrench: Wrench) -> Mistakes:
     """Judge the reference point of a wrench's moment, and the order and units of the wrench."""
     size = grasp.contacts.length
-    mistakes = []
     force, moment, turning, distance = _sizes(grasp, wrench)
     reach = size + distance
     # the force acts near the origin, which is far from the contacts
@@ -152,12 +146,12 @@ def frame_and_order(grasp: Grasp, wrench: Wrench) -> list[Mistake]:
         and moment < SHORT_LEVER * size * force
         and turning > FAR * size * force
     ):
-        text = (
+        yield (
+            distance > VERY_FAR * size and distance > ARM,
             f"the contacts are {distance:.3g} m from the origin, but the wrench's force acts within {max(1e-3, moment / force):.2g} m of "
             "it: is its moment about another point (the centre of mass)? Give both in one frame, the moment about the origin of the "
-            "positions (in Python wrench_about shifts it), unless the object reaches that far"
+            "positions (in Python wrench_about shifts it), unless the object reaches that far",
         )
-        mistakes.append(Mistake(distance > VERY_FAR * size and distance > ARM, text))
     # force and moment make sense only if they change places
     if (
         force > 0.0
@@ -165,19 +159,18 @@ def frame_and_order(grasp: Grasp, wrench: Wrench) -> list[Mistake]:
         and force < SHORT_LEVER * reach * moment
         and moment > TURNING * size
     ):
-        text = (
+        yield (
+            True,
             f"the wrench's moment of {turning:.3g} N m is that of its force of {force:.3g} N at {turning / force:.2g} m from contacts "
             f"that span {size:.2g} m: a wrench is force [N] first, then moment [N m]; exchange them, or divide the moment by 1000 if it "
-            "is in N mm"
+            "is in N mm",
         )
-        mistakes.append(Mistake(True, text))
     elif force == 0.0 and turning > PURE_MOMENT * size:
-        text = (
+        yield (
+            False,
             f"the wrench is a moment of {turning:.3g} N m without a force, on contacts that span {size:.2g} m: a wrench is force [N] "
-            "first, then moment [N m]; exchange them, unless the fingers turn something"
+            "first, then moment [N m]; exchange them, unless the fingers turn something",
         )
-        mistakes.append(Mistake(False, text))
-    return mistakes
 
 
 def _sizes(grasp: Grasp, wrench: Wrench) -> tuple[float, float, float, float]:
@@ -187,17 +180,15 @@ def _sizes(grasp: Grasp, wrench: Wrench) -> tuple[float, float, float, float]:
     return hypot(fx, fy, fz), hypot(mx, my, mz), turning, hypot(x, y, z)
 
 
-def torque_units(
-    grasp: Grasp, wrench: Wrench, jacobian: Array, torque_limit: Array
-) -> list[Mistake]:
+def torque_units(grasp: Grasp, wrench: Wrench, jacobian: Array, torque_limit: Array) -> Mistakes:
     """Judge the units of torque limits (J,) by the torques that the wrench needs."""
     force, _, turning, _ = _sizes(grasp, wrench)
     # a single contact has no length
     if force * grasp.length + turning < SMALLEST_LOAD * grasp.length:
-        return []
+        return
     solution: Any = core.ForceOptimizer(core.Problem(grasp.contacts)).solve(wrench)
     if not solution.has_force:
-        return []
+        return
     pushed = np.hstack([solution.object_force, solution.torsion[:, None] * grasp.normals])
     needed = np.abs(np.einsum("nrj,nr->j", jacobian, pushed[:, : jacobian.shape[1]]))
     with np.errstate(divide="ignore"):
@@ -206,56 +197,53 @@ def torque_units(
     share = shares[weakest]
     seen = f"{needed[weakest]:.3g} of {torque_limit[weakest]:.3g} N m): limits are in N m"
     if STRONGEST < share < np.inf:
-        text = f"every torque limit is more than 500 times what this load needs (joint {weakest}: {seen}; divide mN m by 1000"
-        return [Mistake(False, text)]
-    if share < WEAKEST:
-        text = (
-            f"this load needs {1.0 / share:.2g} times the torque limit of joint {weakest} ({seen}, and the Jacobian's linear rows in "
-            "metres"
+        yield (
+            False,
+            f"every torque limit is more than 500 times what this load needs (joint {weakest}: {seen}; divide mN m by 1000",
         )
-        return [Mistake(False, text)]
-    return []
+    elif share < WEAKEST:
+        yield (
+            False,
+            f"this load needs {1.0 / share:.2g} times the torque limit of joint {weakest} ({seen}, and the Jacobian's linear rows in "
+            "metres",
+        )
 
 
-def coincident(grasp: Grasp) -> list[Mistake]:
+def coincident(grasp: Grasp) -> Mistakes:
     """Judge contacts that lie close together."""
-    if grasp.n_contacts == 1:
-        return []
     apart = np.linalg.norm(grasp.positions[:, None] - grasp.positions, axis=2)
     first, second = np.nonzero(np.triu(apart < SMALLEST_DISTANCE * grasp.length, 1))
-    return [
-        Mistake(
+    for i, j in zip(first.tolist(), second.tolist(), strict=True):
+        yield (
             False,
             f"contacts {i} and {j} are {1e3 * apart[i, j]:.3g} mm apart, {100 * apart[i, j] / grasp.length:.2g} % of the grasp's "
             "length: they act like one contact; drop one or correct its position",
         )
-        for i, j in zip(first.tolist(), second.tolist(), strict=True)
-    ]
 
 
-def condition(grasp: Grasp) -> list[Mistake]:
+def condition(grasp: Grasp) -> Mistakes:
     """Judge a G that is nearly singular."""
     if grasp.rank < 6:
-        text = (
+        yield (
+            False,
             f"rank(G) = {grasp.rank} < 6: the contacts balance only some wrenches, and contacts on a line none with a moment about that "
-            "line; add a contact, friction, or soft fingertips if the object can turn"
+            "line; add a contact, friction, or soft fingertips if the object can turn",
         )
-        return [Mistake(False, text)]
+        return
     centre = grasp.positions.mean(axis=0)
     here, centred = (_condition_number(grasp, about) for about in (np.zeros(3), centre))
     if centred > LARGEST_CONDITION:
-        text = (
+        yield (
+            False,
             f"G is nearly singular, condition number {centred:.2g}: some wrenches need forces that much larger than others; "
-            "spread the contacts, away from one common line, or add friction, torsion or a contact"
+            "spread the contacts, away from one common line, or add friction, torsion or a contact",
         )
-        return [Mistake(False, text)]
-    if here > LARGEST_CONDITION:
-        text = (
+    elif here > LARGEST_CONDITION:
+        yield (
+            False,
             f"G has condition number {here:.2g}, but {centred:.2g} with moments about the centre of the contacts: the object "
-            f"frame's origin is {np.linalg.norm(centre):.3g} m away; put it near the contacts"
+            f"frame's origin is {np.linalg.norm(centre):.3g} m away; put it near the contacts",
         )
-        return [Mistake(False, text)]
-    return []
 
 
 def _condition_number(grasp: Grasp, about: Array) -> float:
