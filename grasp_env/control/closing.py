@@ -20,9 +20,9 @@ _WEIGHT_ERROR = 0.01
 _NEAR, _LOST = 1e-3, 5e-3  # [m] from its place: accepted at the end of the settling; lost
 _AT_LIMIT = 1.0 - 1e-6  # share of a torque limit that counts as the limit
 _END, _STRAY = 5e-3, 0.05  # angle from a joint's limit [rad]; force of links on the object [N]
-# [rad/s] bandwidth of the critically damped fixture that holds the object until the hand does
+# [rad/s] bandwidth of the fixture that holds the object until the hand does
 _FIXTURE_BANDWIDTH = 100.0
-# [kg]: lighter objects would be pushed around in the fixture, so they get the second mass there
+# [kg]: lighter objects get the second mass in the fixture, where they would be pushed around
 _LIGHT, _LOADED = 0.1, 0.3
 
 
@@ -100,7 +100,7 @@ def take_over(scene: Scene, loop: ForceLoop) -> None:
             and error < _WEIGHT_ERROR
         )
         away = np.abs(snapshot.position).max()
-        # fingers that cannot push in every direction leave the object slightly off its place
+        # fingers that cannot push in every direction leave the object slightly displaced
         steady = steady + 1 if still and away < (_PLACED if tick < latest else _NEAR) else 0
         if steady == _SETTLED:
             return

@@ -33,16 +33,13 @@ from grasp_env.sim.scene import Scene
 from grasp_env.sim.snapshot import Snapshot
 
 FOLLOW_ITERATIONS = 200
-"""Largest number of iterations at the control ticks between two agent steps; Newton takes 1 to 15.
-"""
+"""Largest number of iterations at a tick between agent steps; Newton takes 1 to 15."""
 RELEASE = 2
 """Control ticks without force after which a finger no longer counts as in contact."""
 REACH_STIFFNESS, REACH_FORCE, REACH_LIMIT = 60.0, 0.3, 1.0
-"""Stiffness [N/m] of a finger that reaches for its place, its force against the object [N], its
-largest force on the way [N]."""
+"""Stiffness [N/m] of a finger that reaches, its force against the object, its largest force [N]."""
 POSTURE_STIFFNESS, POSTURE_DAMPING = 0.01, 0.001
-"""Stiffness [N m/rad] and damping [N m s/rad] that draw the joints of a redundant hand to their
-rest posture."""
+"""Stiffness [N m/rad] and damping [N m s/rad] towards the rest posture of a redundant hand."""
 REACH_MASS = 0.03
 """Mass [kg] of the lightest tip for which reaching is critically damped."""
 MAX_STIFFNESS, MAX_DAMPING = 0.5, 1.0
@@ -113,8 +110,7 @@ class ForceLoop:
         self.wrench, self.force, self.frames, self.torques, self._row = (
             arrays[name] for name in ("wrench", "force", "frames", "torques", "solution")
         )
-        # joints that the tips leave free stay in the planned posture: a far home posture would draw
-        # them to their limits
+        # free joints stay in the planned posture: a far home would draw them to their limits
         arrays["home"][:] = scene.config.start_angles or hand.home
         arrays["goals"][:] = points
         arrays["inwards"][:] = normals

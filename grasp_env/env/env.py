@@ -45,10 +45,10 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     """Simulated hand that holds an object against wrenches, or moves it along a given motion.
 
     ## Step
-    The agent acts at 50 Hz, the controller at 250 Hz, the physics at that rate or faster (see
-    `EnvConfig`). A control tick reads the contacts of the fingers that touch. The wrench to balance
-    is the external wrench plus gravity plus pose feedback, minus the wrench that accelerates the
-    object along its target motion. The ticks differ in how they find the forces:
+    The agent acts at 50 Hz, the controller at 250 Hz, the physics at that rate or faster. A control
+    tick reads the contacts of the fingers that touch. The wrench to balance is the external wrench
+    plus gravity plus pose feedback, minus the wrench that accelerates the object along its target
+    motion. The ticks differ in how they find the forces:
 
     - First tick of a step: the initial force comes from the start rule (by default the paper's
       linear combination of 12 offline optima) plus the action. The method optimises it: by default
@@ -96,9 +96,8 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
       [0, 2 `action_scale`], o and t in +-`action_scale`.
     - "none" (1,): ignored.
 
-    `gym.make` warns if "initial_force" leaves an agent nothing to improve: with controllers that do
-    not optimise, with `conic`, which has no start, and with Newton, whose iteration count hardly
-    depends on the start.
+    `gym.make` warns if "initial_force" leaves an agent nothing to improve, as with `conic`, which
+    has no start, and Newton, whose iteration count hardly depends on the start.
 
     ## Observation space
     `Box(-bound, bound, (83,), float32)` for the four-finger hand, clipped:
@@ -140,7 +139,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     ## Episode end
     An episode is terminated when the object is lost. `info["failure"]` is the reason:
 
-    - "dropped": it is farther from its target pose than `limits.max_drift` or `limits.max_tilt`.
+    - "dropped": it is beyond `limits.max_drift` or `limits.max_tilt` from its target pose.
     - "closure_lost": no forces balanced the wrench for longer than `limits.max_contact_gap`.
     - "force_optimisation": the optimisation failed, for example in a user's start rule.
     - "simulation_diverged": the simulator's state is no longer finite or the object is far away.

@@ -17,7 +17,7 @@ from grasp_env.sim.engine import engine_of
 from grasp_env.sim.grasping import place_hand, plan_grasp
 
 PLACINGS = 3
-"""Number of places that are tried for each object, for a hand without a place of its own."""
+"""Number of poses that are tried for each object, for a hand that is not `placed`."""
 REDRAWS = 20
 """Largest number of random objects that are tried at a reset until the hand can hold one."""
 
@@ -87,7 +87,7 @@ class Stage:
         raise SimulationError(f"none of {REDRAWS} random objects could be held; the last: {failed}")
 
     def _hold(self, item: ObjectDescription) -> None:
-        """Let the hand hold an object, from the first place where it can."""
+        """Let the hand hold an object, from the first pose where it can."""
         first = self._nominal is None
         failures = list[GraspError]()
         for place in self._places(item):
@@ -110,7 +110,7 @@ class Stage:
         raise failures[-1]
 
     def _places(self, item: ObjectDescription) -> Iterator[Callable[[], HandKinematics]]:
-        """Yield functions that find the places of the hand to try for an object."""
+        """Yield functions that find the poses of the hand to try for an object."""
         hand, least, nominal = self._given, None, self._nominal
         if nominal is not None:
             yield lambda: nominal

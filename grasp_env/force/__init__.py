@@ -1,8 +1,4 @@
-"""Grasp-force optimisation: the paper's flows, their starts, Newton, the exact conic problem.
-
-The compiled core runs all methods and makes all starts but the user's own. `grasp_env.quality`
-measures how well contacts can hold.
-"""
+"""Grasp-force optimisation: the paper's flows, their starts, Newton, the exact conic problem."""
 
 from grasp_env.force.basis import OfflineBasis
 from grasp_env.force.batch import optimize_forces

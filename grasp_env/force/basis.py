@@ -20,10 +20,10 @@ from grasp_env.inputs.arguments import Array, ContactForces, Wrench, as_wrench, 
 
 @dataclass(frozen=True, eq=False)
 class OfflineBasis:
-    """The 12-basis of a grasp: argmin Phi for +-e_1..+-e_6 and for w = 0 (paper, Sec. III).
+    """The 12-basis of a grasp: argmin Phi for +e_1..+e_6, -e_1..-e_6 [N, N m] and for w = 0.
 
-    The unit wrenches are 1 N or 1 N m; +e_1..+e_6 come first. It exists for every grasp with force
-    closure. Its forces are balanced for that grasp only; if contacts move, use `moved_to`.
+    It is that of the paper's Sec. III, and exists for every grasp with force closure. Its forces
+    are balanced for that grasp only; if contacts move, use `moved_to`.
 
     Attributes:
         cone_divisor: (N, 3) `grasp.models.cone_divisor`; the grasp itself would be kept alive.
@@ -82,7 +82,7 @@ class OfflineBasis:
 
     @staticmethod
     def known(grasp: Grasp) -> list[OfflineBasis]:
-        """Return the cached bases of this `grasp`, one for each Phi."""
+        """Return the cached bases of `grasp`, one for each Phi."""
         return list(_CACHE.get(as_grasp(grasp), {}).values())
 
     def moved_to(self, grasp: Grasp) -> OfflineBasis:

@@ -49,13 +49,7 @@ class Repair:
         object.__setattr__(self, "objective", as_objective(self.objective))
 
     def __call__(self, grasp: Grasp, wrench: Wrench, candidate: ContactForces) -> ContactForces:
-        """Return the repaired force (N, 3) [N]; see the class.
-
-        For a candidate that is not finite, or beyond 1e12 N, the combination is returned.
-
-        Raises:
-            InvalidInputError: the candidate has another shape, or the wrench is not finite.
-        """
+        """Return the repaired force (N, 3) [N]; the combination if not finite or beyond 1e12 N."""
         force = as_array(candidate, (as_grasp(grasp).n_contacts, 3), "candidate", finite=False)
         return _repaired(grasp, self.objective, GUESS, as_wrench(wrench), force)
 
@@ -124,7 +118,7 @@ def carry_over(
 def _repaired(
     grasp: Grasp, objective: Objective, start: int, wrench: Wrench, force: ContactForces
 ) -> ContactForces:
-    """Return a start of the core from a force (N, 3) [N], which need not be balanced or inside."""
+    """Return a start of the core from any force (N, 3) [N]."""
     known = _STARTERS.setdefault(grasp, {})
     if objective not in known:
         known[objective] = starter(grasp, objective)

@@ -65,7 +65,7 @@ class ContactModels:
             and type(friction) is float
             and within.low <= friction <= within.high
         ):
-            # new contacts in a control loop: no checks of each
+            # a control loop's new contacts
             return cls._from_arrays(
                 ("hard",) * count, np.full((count, 2), friction), np.zeros(count)
             )

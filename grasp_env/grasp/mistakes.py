@@ -42,11 +42,10 @@ STRONGEST, WEAKEST = 500.0, 1.0 / 300.0
 SMALLEST_LOAD = 0.1
 """Load below which torque limits are not judged [N]."""
 LARGEST_CONDITION = 1e3
-"""Condition number of G, moments divided by the length, with which wrenches need huge forces."""
+"""Condition number of G, moments over the length, above which wrenches need very large forces."""
 SMALLEST_DISTANCE = 0.01
 """Distance of two contacts, in lengths of the grasp, below which they act like one contact."""
 _CONVERGED = core.codes()["converged"]
-
 
 Mistakes = Iterator[tuple[bool, str]]
 """Likely mistakes: True if no plausible problem looks like this, and the text."""

@@ -24,7 +24,7 @@ PAPER_CONSTANT: tuple[float, ...] = (1.0, 0.5, -0.6, -0.1, 0.2, 0.0)
 FORCE_RADIUS, MOMENT_RADIUS = 2.0, 0.05
 """Radii of the standard held-out ball [N, N m]."""
 MAGNITUDE_LENGTH = 0.05
-"""Length that converts a moment to a force in `magnitude` [m], of the order of a grasp's length."""
+"""Length [m] that converts a moment to a force in `magnitude`."""
 
 
 def paper_path(time: ArrayLike) -> Array:

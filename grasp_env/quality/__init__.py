@@ -1,8 +1,4 @@
-"""Grasp quality on exact friction cones: which wrenches can be balanced, with what force.
-
-`feasibility` and `force_closure` need numpy only; the convex hulls of `epsilon` and `worst_case`
-need scipy.
-"""
+"""Grasp quality on exact friction cones: which wrenches can be balanced, with what force."""
 
 from grasp_env.quality.closure import force_closure
 from grasp_env.quality.feasibility import feasibility

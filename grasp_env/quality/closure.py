@@ -1,8 +1,7 @@
 """Force closure: an internal force strictly inside all friction cones, or a disproof.
 
 If rank(G) = 6, such an internal force exists exactly if every wrench can be balanced (Murray, Li,
-Sastry 1994, Prop. 5.2; Nguyen 1988). With a lower rank there is no closure. The cones are exact,
-not pyramids. Reversing ALL normals does not change the result.
+Sastry 1994, Prop. 5.2; Nguyen 1988). Reversing ALL normals does not change the result.
 """
 
 from __future__ import annotations
@@ -83,8 +82,7 @@ def force_closure(grasp: Grasp, limits: ForceLimits | None = None) -> ForceClosu
         limits: further limits on the internal force.
 
     Raises:
-        NotConvergedError: neither witness passes its check, at margins of about 1e-9. An undecided
-            case is never reported as "no".
+        NotConvergedError: neither witness passes its check, at margins of about 1e-9.
 
     Example:
         >>> from grasp_env.grasp import Grasp, presets

@@ -72,8 +72,7 @@ def feasibility(grasp: Grasp, wrench: Wrench, limits: ForceLimits | None = None)
         limits: further limits.
 
     Raises:
-        NotConvergedError: neither a force nor a proof was found. An undecided case is never
-            reported as infeasible.
+        NotConvergedError: neither a force nor a proof was found.
 
     Example:
         >>> from grasp_env.grasp import presets

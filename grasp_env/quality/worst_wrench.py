@@ -183,8 +183,8 @@ def worst_case(
             ball. `upper` is inf if no force within the limits was found for some vertex.
         tolerance: relative gap at which the refinement of the upper bound ends, not below 1e-4;
             without limits only.
-        starts: number of random directions in which an ascent starts, besides the twelve along the
-            axes; at most 10,000.
+        starts: number of random directions in which an ascent starts, in addition to the axes; at
+            most 10,000.
         points: number of points of the inner hull at which the refinement ends, 64 to 5000; without
             limits only.
         seed: seed of the random directions.
@@ -214,10 +214,10 @@ def worst_case(
         if not len(listed):
             raise InvalidInputError("wrenches must hold at least one wrench")
         solved = [_solve(optimizer, wrench) for wrench in listed]
-        for wrench, case in zip(listed, solved, strict=True):
+        for case in solved:
             if case.solution is None:
                 raise NotConvergedError(
-                    f"the conic solver found no optimal force for wrench {wrench.tolist()}"
+                    f"the conic solver found no optimal force for wrench {case.wrench.tolist()}"
                 )
         worst = max(solved, key=lambda case: case.upper)
         return worst._replace(lower=max(case.lower for case in solved))
@@ -339,19 +339,17 @@ def _within_limits(optimizer: ForceOptimizer, ball: WrenchBall, best: WorstCase)
 def _largest_wrenches(grasp: Grasp, directions: Array, criterion: str) -> tuple[Array, Array]:
     """Return h(n) (K,) and the maximising wrenches G f (K, 6) for the rows n (K, 6)."""
     models, count = grasp.models, grasp.n_contacts
-    work = (directions @ grasp.matrix).reshape(-1, count, 3)
-    tangential = work[:, :, 1:] * models.friction
+    works = (directions @ grasp.matrix).reshape(-1, count, 3)
+    tangential = works[:, :, 1:] * models.friction
     length = np.sqrt((tangential**2).sum(axis=2))
     twisting = directions @ grasp.torsion_matrix
     # each contact separately, with a unit normal force
-    best = work[:, :, 0] + length + models.torsional_friction * np.abs(twisting)
-    if criterion == "max":
-        normals = np.where(best > 0.0, 1.0, 0.0)
-    else:
-        normals = np.where(
-            (np.arange(count) == best.argmax(axis=1)[:, None]) & (best > 0.0), 1.0, 0.0
-        )
-    forces = np.empty_like(work)
+    best = works[:, :, 0] + length + models.torsional_friction * np.abs(twisting)
+    pushing = best > 0.0
+    if criterion == "sum":
+        pushing &= np.arange(count) == best.argmax(axis=1)[:, None]
+    normals = pushing.astype(float)
+    forces = np.empty_like(works)
     forces[:, :, 0] = normals
     forces[:, :, 1:] = (
         (normals / np.where(length > 0.0, length, 1.0))[:, :, None] * models.friction * tangential
