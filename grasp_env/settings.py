@@ -123,7 +123,12 @@ class Settings:
         """Raise an error if checked values contradict each other."""
 
     def replaced(self: S, changes: Mapping[str, Any], path: str = "") -> S:
-        """Return a copy with some settings replaced; `path` of the record is for error messages."""
+        """Return a copy with some settings replaced; `path` of the record is for error messages.
+
+        Raises:
+            UnknownSettingError: the record has no setting of that name.
+            InvalidInputError: invalid values; the message lists all of them.
+        """
         before = _PATH.set(path)
         try:
             known = [item.name for item in fields(self)]

@@ -97,8 +97,12 @@ HAND = Kind(
 class EnvConfig(Settings):
     """Settings of `FourFingerGrasp-v0`.
 
-    Every field is a keyword of `gym.make`, as a record or as a dict of its settings. `override`
-    documents the errors.
+    Every field is a keyword of `gym.make`, as a record or as a dict of its settings.
+
+    Raises:
+        UnknownNameError: a task, shape, ... of no such name; the message lists those that exist.
+        InvalidInputError: values out of range; the message lists all of them with their paths, such
+            as `sensors.delay`.
 
     Example:
         >>> config = EnvConfig(task={"name": "move", "motion": "lift"}, sensors=SensorSettings(delay=0.004))
@@ -253,7 +257,11 @@ class EnvConfig(Settings):
         return replace(self, **values | records)
 
     def resolved(self) -> EnvConfig:
-        """Return a copy with the defaults of the task, the engine and two fingers filled in."""
+        """Return a copy with the defaults of the task, the engine and two fingers filled in.
+
+        Warns:
+            GraspWarning: the torsional friction assumed for two fingers.
+        """
         task, limits = self.task, self.limits
         defaults = {
             name: getattr(task, name)
@@ -277,6 +285,9 @@ class EnvConfig(Settings):
 
     def drawn(self, rng: np.random.Generator) -> EnvConfig:
         """Return the settings of one episode, with the randomised ones drawn from its generator.
+
+        Raises:
+            GraspError: a function fails, or returns an invalid value.
 
         Example:
             >>> config = EnvConfig(randomize={"mass": (0.1, 0.2), "sensors.delay": lambda rng: rng.choice([0.0, 0.004])})

@@ -10,7 +10,7 @@ strictly inside the friction cone sqrt(o^2 + t^2) < mu * normal. Eigenvalues: u,
 | P | `description_matrix` |
 | Q, Q_bar, VWP | the core's `projection.hpp`; plain in `tests/oracles/full_flow.py`, `reduced_flow.py` |
 | alpha_k | step size, the rules of `step_size` |
-| W_p, W_i | `Objective` |
+| W_p = omega I, W_i = lambda I | `force_weight`, `barrier_weight` of `Objective` |
 """
 
 from __future__ import annotations

@@ -20,10 +20,10 @@ from grasp_env.inputs.arguments import AllFaults, Array, as_array, instance, num
 
 
 class LimitArrays(NamedTuple):
-    """Limits of N contacts and J joints as arrays of full shape.
+    """Limits of N contacts and J joints as arrays of full shape, inf where unlimited.
 
-    The Jacobian is (N, 6, J), with zero angular rows if only (N, 3, J) was given; J = 0 without
-    torque limits.
+    Normal forces are (N,) [N], torques (J,) [N m]. The Jacobian is (N, 6, J), with zero angular
+    rows if only (N, 3, J) was given; J = 0 without torque limits.
     """
 
     min_normal: Array
@@ -123,7 +123,11 @@ class ForceLimits:
             object.__setattr__(self, name, array)
 
     def checked(self, n_contacts: int) -> LimitArrays:
-        """Return the limits of `n_contacts` contacts as arrays of full shape."""
+        """Return the limits of `n_contacts` contacts as arrays of full shape.
+
+        Raises:
+            InvalidInputError: limits or a Jacobian for another number of contacts.
+        """
         n_contacts = whole(n_contacts, "n_contacts", 1, ranges.CONTACTS)
 
         def per_contact(name: str) -> Array:

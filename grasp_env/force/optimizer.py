@@ -1,4 +1,7 @@
-"""`ForceOptimizer`, for repeated calls, and `optimize_force`, for a single call."""
+"""`ForceOptimizer`, for repeated calls, and `optimize_force`, for a single call.
+
+The file is long because the class documents every argument and shares the state of a call.
+"""
 
 from __future__ import annotations
 
@@ -518,7 +521,7 @@ class ForceOptimizer:
 
     def _rank_error(self, grasp: Grasp) -> GraspError:
         hint = f"; method {self.method!r} needs that, 'newton' and 'conic' solve the wrenches that are within reach"
-        return rank_error(grasp.rank, grasp.n_contacts, hint * self.options.flows)
+        return rank_error(grasp.rank, grasp.n_contacts, hint if self.options.flows else "")
 
     def __getstate__(self) -> dict[str, Any]:
         kept = {name: value for name, value in vars(self).items() if name not in ("core", "_solve")}

@@ -49,7 +49,11 @@ class Repair:
         object.__setattr__(self, "objective", as_objective(self.objective))
 
     def __call__(self, grasp: Grasp, wrench: Wrench, candidate: ContactForces) -> ContactForces:
-        """Return the repaired force (N, 3) [N]; the combination if not finite or beyond 1e12 N."""
+        """Return the repaired force (N, 3) [N]; the combination if not finite or beyond 1e12 N.
+
+        Raises:
+            InvalidInputError: the candidate has another shape, or the wrench is not finite.
+        """
         force = as_array(candidate, (as_grasp(grasp).n_contacts, 3), "candidate", finite=False)
         return _repaired(grasp, self.objective, GUESS, as_wrench(wrench), force)
 

@@ -11,7 +11,8 @@ from grasp_env.inputs.arguments import Array
 def contact_frames(normals: Array) -> Array:
     """Return frames (N, 3, 3) with columns (n, o, t), object frame, of inward unit normals.
 
-    o is the normalised projection of e_x on the tangent plane, or of e_y if |n . e_x| > 0.9.
+    o is the normalised projection of e_x on the tangent plane, or of e_y if |n . e_x| > 0.9;
+    t = n x o.
 
     Example:
         >>> contact_frames(np.array([[0.0, 0.0, 1.0]]))[0].T   # rows: n, o, t

@@ -54,11 +54,11 @@ def transformed(grasp: Grasp, rotation: ArrayLike, translation: ArrayLike) -> Gr
 
     The tangents are rotated too, so contact forces (normal, o, t) keep their components:
     `transformed(grasp, R, p).wrench(f)` equals `transform_wrench(grasp.wrench(f), R, p)` for every
-    f. `rotation` and `translation` are as there.
+    f. `rotation` and `translation` are as in `transform_wrench`.
 
     Raises:
-        InvalidInputError: as there, or a translation so long that moments about A's origin are lost
-            in rounding.
+        InvalidInputError: as in `transform_wrench`, or a translation so long that moments about A's
+            origin are lost in rounding.
 
     Example:
         >>> from grasp_env.grasp import presets
@@ -124,7 +124,11 @@ def gravity_wrench(
 
 
 def checked_rotation(rotation: ArrayLike, name: str = "rotation") -> Array:
-    """Return a rotation matrix (3, 3), made orthonormal to rounding."""
+    """Return a rotation matrix (3, 3), made orthonormal to rounding.
+
+    Raises:
+        InvalidInputError: not (3, 3), not finite, not orthonormal to 1e-6, or a reflection.
+    """
     matrix = as_array(rotation, (3, 3), name, ranges.SIZE)
     gram = matrix.T @ matrix
     off = float(np.abs(gram - np.eye(3)).max())
