@@ -67,18 +67,6 @@ def test_a_range_holds_its_ends_and_is_told_beyond(name: str) -> None:
         )
 
 
-def test_contacts_that_are_too_many_or_too_far() -> None:
-    many = np.tile([0.0, 0.0, 1.0], (ranges.CONTACTS + 1, 1))
-    with pytest.raises(InvalidInputError, match="at most 1000 contacts, got 1001"):
-        Grasp.from_contacts(many, many, 0.4)
-    with pytest.raises(InvalidInputError, match="within 100000 times their length"):
-        Grasp.from_contacts(CUBOID.positions + 1e4, CUBOID.normals, 0.4)
-    with pytest.raises(InvalidInputError, match="at most 10000 times the grasp's length"):
-        Grasp.from_contacts(
-            CUBOID.positions, CUBOID.normals, 0.4, contact_model="soft", torsional_friction=1e4
-        )
-
-
 CORNERS = {
     "newton": {"method": "newton"},
     "conic": {"method": "conic"},

@@ -13,28 +13,13 @@ from grasp_env.core import _core
 
 EPS = 2.0**-52
 GOOD, REFUSED, RANK_LOST, NEEDS_TORSION = range(4)
-SWITCH = 0.9
-
-
-def directions() -> np.ndarray:
-    """Uniform, the six axes, and both sides of the switch of the tangents; unit length to rounding."""
-    rng = np.random.default_rng(0)
-    sides = [
-        (s * x, a)
-        for x in SWITCH + np.array([-1e-9, 0.0, 1e-9])
-        for s in (1.0, -1.0)
-        for a in rng.uniform(0, 6.3, 5)
-    ]
-    around = [[x, np.sqrt(1 - x * x) * np.cos(a), np.sqrt(1 - x * x) * np.sin(a)] for x, a in sides]
-    every = np.concatenate([rng.standard_normal((60, 3)), np.eye(3), -np.eye(3), around])
-    return every / np.linalg.norm(every, axis=1)[:, None]
 
 
 @pytest.mark.parametrize("close", [None, 1.0, 1e-3, 1e-6])
 def test_frames_are_the_written_rule(close: float | None) -> None:
     """close: the distance of a given tangent from the normal."""
     rng = np.random.default_rng(1)
-    for n in directions():
+    for n in oracle.directions():
         along = None if close is None else n + close * rng.standard_normal(3)
         found = insides.frame(n, along)
         np.testing.assert_allclose(found, oracle.frame(n, along), atol=4e-15 / (close or 1.0))

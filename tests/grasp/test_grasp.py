@@ -12,7 +12,6 @@ import pytest
 from oracles import geometry
 from problems import GRASPS, random_grasp
 
-from grasp_env.core import TANGENT_SWITCH
 from grasp_env.errors import InvalidInputError, RankDeficientGraspError
 from grasp_env.grasp import Grasp, presets
 from grasp_env.grasp.contact import contact_frames
@@ -46,21 +45,8 @@ def same(grasp: Grasp, other: Grasp) -> None:
     assert (grasp.models.names, grasp.length) == (other.models.names, other.length)
 
 
-def directions() -> np.ndarray:
-    """Uniform normals, the six axes, and both sides of the switch of the tangents."""
-    rng = np.random.default_rng(0)
-    around = [
-        [s * x, np.sqrt(1.0 - x * x) * np.cos(a), np.sqrt(1.0 - x * x) * np.sin(a)]
-        for x in TANGENT_SWITCH + np.array([-1e-9, 0.0, 1e-9])
-        for s in (1, -1)
-        for a in rng.uniform(0, 6, 5)
-    ]
-    every = np.concatenate([rng.standard_normal((200, 3)), np.eye(3), -np.eye(3), around])
-    return every / np.linalg.norm(every, axis=1)[:, None]
-
-
 def test_frames_follow_the_rule_of_the_tangents() -> None:
-    normals = directions()
+    normals = geometry.directions()
     plain = np.array([geometry.frame(n) for n in normals])
     # near |n_x| = 0.9 the projection divides by 0.44 at least
     np.testing.assert_allclose(contact_frames(normals), plain, atol=3e-15)

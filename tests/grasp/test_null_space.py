@@ -33,20 +33,8 @@ def assert_basis(grasp: Grasp, basis: np.ndarray) -> None:
     ].any()
 
 
-def test_bases_are_orthonormal_and_internal() -> None:
-    rng = np.random.default_rng(0)
-    for grasp in (*GRASPS.values(), *(random_grasp(rng, 3 + k % 6) for k in range(20))):
-        reference = reference_basis(grasp)
-        np.testing.assert_allclose(
-            reference.T @ reference, np.eye(grasp.null_dimension), atol=1e-12
-        )
-        forces = reference.reshape(grasp.n_contacts, 3, -1).transpose(0, 2, 1)
-        moments = np.cross(grasp.positions[:, None], forces).sum(axis=0)
-        np.testing.assert_allclose(np.concatenate([forces.sum(axis=0), moments]), 0.0, atol=1e-13)
-        assert_basis(grasp, basis := null_space_basis(grasp, reference))
-        np.testing.assert_allclose(in_object_frame(grasp, basis), reference, atol=1e-12)
-    # another grasp's reference: the polar factor of its projection
-    grasp = random_grasp(rng, 4)
+def test_a_basis_near_another_grasps_is_the_polar_factor_of_its_projection() -> None:
+    grasp = random_grasp(np.random.default_rng(0), 4)
     nominal = reference_basis(GRASPS["cuboid, 4"])
     here = np.einsum("nba,nbk->nak", grasp.frames, nominal.reshape(4, 3, -1)).reshape(nominal.shape)
     np.testing.assert_allclose(

@@ -43,7 +43,10 @@ def placed(positions: Any) -> Callable[[], Grasp]:
         (made(positions=[[0.0, 0.0, 0.0], [1.0]]), "positions must be numbers"),
         (made(positions=POSITIONS * np.nan), "positions must be finite, got .*nan"),
         (made(positions=1e9 * POSITIONS), "give them in metres"),
-        (made(positions=POSITIONS + 1e6), "put the object frame's origin near the contacts"),
+        (
+            made(positions=POSITIONS + 1e4),
+            "within 100000 times their length.*put the object frame's origin near the contacts",
+        ),
         (made(positions=[], normals=NORMALS[:2]), "positions must have shape"),
         (made(normals=NORMALS[:2]), r"normals must have shape \(3, 3\), got \(2, 3\)"),
         (made(normals=np.full((3, 3), np.inf)), "normals must be finite"),
@@ -70,7 +73,10 @@ def placed(positions: Any) -> Callable[[], Grasp]:
             made(contact_model="soft", torsional_friction=[0.1]),
             r"torsional_friction must have shape \(\) or \(3,\)",
         ),
-        (made(contact_model="soft", torsional_friction=1e5), "a fingertip has about 0.005 m"),
+        (
+            made(contact_model="soft", torsional_friction=1e4),
+            "at most 10000 times the grasp's length.*a fingertip has about 0.005 m",
+        ),
         (
             made(contact_model="rigid"),
             "unknown contact model 'rigid': choose one of 'hard', 'soft'",
@@ -88,7 +94,7 @@ def placed(positions: Any) -> Callable[[], Grasp]:
             for points in (POSITIONS[:1], POSITIONS[:2], LINE, LINE + 0.2)
         ),
         (lambda: made(contact_model="frictionless")().pseudoinverse, r"rank\(G\)"),
-        (placed(np.eye(3).repeat(400, axis=0)), "at most 1000 contacts, got 1200"),
+        (placed(np.zeros((1001, 3))), "at most 1000 contacts, got 1001"),
         *(
             (
                 partial(
@@ -161,10 +167,3 @@ def test_wrong_input(call: Callable[[], object], message: str) -> None:
     )
     assert isinstance(caught.value, kind)
     assert isinstance(caught.value, ValueError)
-
-
-def test_all_faults_are_reported_at_once() -> None:
-    with pytest.raises(
-        InvalidInputError, match=r"positions must be finite[\s\S]*normals must be finite"
-    ):
-        made(positions=POSITIONS * np.nan, normals=NORMALS * np.nan)()

@@ -16,6 +16,20 @@ def frame(normal: np.ndarray, along: np.ndarray | None = None) -> np.ndarray:
     return np.stack([n, o, np.cross(n, o)], axis=1)
 
 
+def directions() -> np.ndarray:
+    """Uniform, the six axes, and both sides of the switch of the tangents; unit length to rounding."""
+    rng = np.random.default_rng(0)
+    sides = [
+        (s * x, a)
+        for x in 0.9 + np.array([-1e-9, 0.0, 1e-9])
+        for s in (1.0, -1.0)
+        for a in rng.uniform(0, 6.3, 5)
+    ]
+    around = [[x, np.sqrt(1 - x * x) * np.cos(a), np.sqrt(1 - x * x) * np.sin(a)] for x, a in sides]
+    every = np.concatenate([rng.standard_normal((200, 3)), np.eye(3), -np.eye(3), around])
+    return every / np.linalg.norm(every, axis=1)[:, None]
+
+
 def grasp_matrix(positions: np.ndarray, frames: np.ndarray) -> np.ndarray:
     """G (6, 3N): a column is the force and the moment p x force of a unit force along n, o or t."""
     columns = [
