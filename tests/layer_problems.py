@@ -12,7 +12,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 from policies import GraspForceLayer, GraspForces, grasp_force
 
-KINDS = ("hard", "elliptic", "soft", "own joints", "shared joints", "normal")
+KINDS = ("hard", "elliptic", "soft", "own joints", "shared joints", "normal", "all")
 HOPELESS = ("exceeded", "far exceeded", "unbalanced")
 """Kinds without an optimum: limits exceeded by a little and by far, wrenches that two contacts
 cannot balance."""
@@ -47,7 +47,7 @@ def problems(kind: str, batch: int, seed: int = 0) -> dict[str, Tensor]:
             uniform(0.5, 2.0, n),
             10 ** uniform(-3, -1, n),
         )
-    if kind in ("soft", "exceeded", "far exceeded"):
+    if kind in ("soft", "all", "exceeded", "far exceeded"):
         made["torsional_friction"] = uniform(0.002, 0.02, n)
         made["torsional_friction"][:, 0] = 0.0  # a hard one among them
     if kind == "own joints":
@@ -59,8 +59,8 @@ def problems(kind: str, batch: int, seed: int = 0) -> dict[str, Tensor]:
             torch.full((batch, 3 * n), 1.0, dtype=torch.float64),
         )
         made["torque_bias"] = 0.05 * normal(3 * n)
-    if kind in ("shared joints", *HOPELESS):
-        made["jacobian"] = 0.05 * normal(n, 6 if kind == "exceeded" else 3, 5)
+    if kind in ("shared joints", "all", *HOPELESS):
+        made["jacobian"] = 0.05 * normal(n, 6 if kind in ("all", "exceeded") else 3, 5)
         made["torque_limit"] = torch.full(
             (batch, 5), 0.005 if kind == "far exceeded" else 2.0, dtype=torch.float64
         )
@@ -68,7 +68,7 @@ def problems(kind: str, batch: int, seed: int = 0) -> dict[str, Tensor]:
     if kind == "exceeded":
         made["max_normal"] = uniform(0.3, 0.5, n)
         made["wrench"][:, 0] += 2.0
-    if kind == "normal":
+    if kind in ("normal", "all"):
         made["min_normal"], made["max_normal"] = uniform(0.2, 1.0, n), uniform(10.0, 20.0, n)
         made["max_normal"][:, 1] = torch.inf
     return made

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from grasp_env.core import _core
-from grasp_env.force import ForceLimits, optimize_force
-from grasp_env.grasp import Grasp, presets
+from grasp_env.grasp import presets
 
 NAMES = (
     "positions",
@@ -167,48 +166,6 @@ def test_gradients_are_central_differences_of_the_answers(kind: str) -> None:
             expected,
             rtol=2e-6,
             atol=rounding * size / step + 1e-6 * np.abs(flat).sum(1).max(),
-        )
-
-
-@pytest.mark.parametrize(
-    "kind", [kind for kind in KINDS if "tight" not in kind and "adrift" not in kind]
-)
-def test_an_optimum_is_that_of_the_front(kind: str) -> None:
-    given = batch(kind)
-    _, force, torsion, multipliers, facts = solved(given)
-    assert (facts[:, 0] == OPTIMAL).all()
-    assert (facts[:, 1] <= 1e-10).all()
-    assert (facts[:, 2] < 1e-13 * np.abs(force).max()).all()
-    for k in range(0, len(force), 6):
-        one = mapped(given, lambda array, k=k: array[k])
-        soft = (
-            {}
-            if one["torsion"] is None
-            else {"contact_model": "soft", "torsional_friction": one["torsion"]}
-        )
-        normals = one["normals"] / np.linalg.norm(one["normals"], axis=1, keepdims=True)
-        grasp = Grasp.from_contacts(
-            one["positions"], normals, one["friction"], tangents=one["tangents"], **soft
-        )
-        limits = {
-            name: one[name]
-            for name in ("jacobian", "torque_limit", "torque_bias", "min_normal", "max_normal")
-            if one[name] is not None
-        }
-        found = optimize_force(
-            grasp,
-            one["wrench"],
-            tolerance=1e-13,
-            force_weight=1.3,
-            limits=ForceLimits(**limits) if limits else None,
-        )
-        # the square root of a gap of 1e-13
-        np.testing.assert_allclose(force[k], found.object_force, atol=1e-6 * np.abs(force[k]).max())
-        np.testing.assert_allclose(
-            torsion[k], found.torsion, atol=1e-6 * np.abs(force[k]).max() * 0.01
-        )
-        np.testing.assert_allclose(
-            multipliers[k], found.multipliers, rtol=1e-4, atol=1e-5 * np.abs(multipliers[k]).max()
         )
 
 

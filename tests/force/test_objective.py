@@ -16,19 +16,6 @@ from grasp_env.grasp import wrench as wrenches
 CUBOID = GRASPS["cuboid, 4"]
 
 
-def test_the_description_matrix_is_positive_inside_the_cones() -> None:
-    rng = np.random.default_rng(0)
-    for _ in range(50):
-        force = rng.standard_normal((4, 3))
-        friction = rng.uniform(0.1, 1.5, 4)
-        u = friction * force[:, 0]
-        s = np.hypot(force[:, 1], force[:, 2])
-        eigenvalues = np.linalg.eigvalsh(description_matrix(force, friction))
-        np.testing.assert_allclose(
-            eigenvalues, np.sort(np.concatenate([u, u - s, u + s])), atol=1e-13
-        )
-
-
 @pytest.mark.parametrize(("omega", "lam"), WEIGHTS)
 def test_phi_its_derivatives_and_bounds(omega: float, lam: float) -> None:
     """The trace of its definition; derivatives and dual bounds of the oracle, whose derivatives are

@@ -314,24 +314,6 @@ def test_a_start_at_rest_lies_inside() -> None:
     assert ForceOptimizer(FIVE, initial="lagrange").solve(np.zeros(6)).initial == "lagrange"
 
 
-def test_a_rule_is_given_the_touching_contacts_with_their_tangents() -> None:
-    touching = np.array([True, False, True, True, True])
-    tangents = np.cross(FIVE.normals, [0.6, 0.48, 0.64])
-    tangents /= np.linalg.norm(tangents, axis=1)[:, None]
-    grasp = Grasp.from_contacts(
-        FIVE.positions, FIVE.normals, np.tile([0.4, 0.6], (5, 1)), tangents=tangents
-    )
-    seen = []
-
-    def rule(touched: Grasp, wrench: np.ndarray) -> np.ndarray:
-        seen.append(touched.frames)
-        return np.ones((4, 3))
-
-    with pytest.raises(InfeasibleStartError, match=r"misses balance by \d"):
-        ForceOptimizer(grasp, initial=rule).solve(LOAD, contacts=touching)
-    np.testing.assert_allclose(seen[0], np.asarray(grasp.frames)[touching], atol=1e-15)
-
-
 def test_the_gap_is_a_part_of_the_bound() -> None:
     loose = optimize_force(FIVE, LOAD, tolerance=0.9)
     assert loose.objective > 1.01 * loose.lower_bound > 0.0

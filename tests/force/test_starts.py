@@ -320,19 +320,27 @@ def test_any_start_ends_at_the_same_optimum(name: str) -> None:
 
 
 def test_a_rule_gets_the_contacts_of_the_call() -> None:
-    """In a call with other contacts, of which some touch, the rule sees those."""
+    """Those that touch, where they are, along the tangents of the optimizer's grasp."""
     seen: list[Grasp] = []
 
     def rule(grasp: Grasp, wrench: np.ndarray) -> np.ndarray:
         seen.append(grasp)
         return CoreRule("single_value")(grasp, wrench)
 
-    there = moved(GRASPS["cuboid, 5"], np.random.default_rng(6), 0.01)
-    optimizer = ForceOptimizer(GRASPS["cuboid, 5"])
+    five = GRASPS["cuboid, 5"]
+    tangents = np.cross(five.normals, [0.6, 0.48, 0.64])
+    rough = np.tile([0.4, 0.6], (5, 1))
+    places = moved(five, np.random.default_rng(6), 0.01)
+    here, there = (
+        Grasp.from_contacts(each.positions, each.normals, rough, tangents=tangents)
+        for each in (five, places)
+    )
+    optimizer = ForceOptimizer(here)
     touching = np.array([True, True, True, True, False])
     contacts = {"positions": there.positions, "normals": there.normals}
     found = optimizer.solve(LIGHT, initial=rule, **contacts, contacts=touching)
     np.testing.assert_array_equal(seen[0].positions, there.positions[touching])
+    np.testing.assert_allclose(seen[0].frames, there.frames[touching], atol=1e-15)
     assert (found.initial, found.force[4].any()) == ("rule", False)
     assert optimizer.solve(LIGHT, initial=rule, **contacts).initial == "rule"
     tight = ForceLimits(max_normal=0.9 * float(found.force[:, 0].max()))

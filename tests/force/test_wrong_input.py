@@ -172,7 +172,6 @@ def call(name: str = "solve", **given: Any) -> Callable[[], Any]:
                 ({"jacobian": np.zeros((4, 3, 4))}, "jacobian must have 5 joints"),
             )
         ),
-        (call(contacts=[1, 1, 1, 2]), r"contacts must be \(4,\) of true and false"),
         (
             partial(ForceOptimizer(MANY).solve, PAPER_WRENCH, contacts=np.ones(65, bool)),
             "at most 64",

@@ -27,7 +27,7 @@ def test_forces_are_those_of_the_optimizer(kind: str) -> None:
     result = grasp_force(**given)
     assert result.status.tolist() == [0] * 4
     assert result.gap.max() <= 1e-10
-    assert result.residual.max() < 1e-12
+    assert (result.residual < 1e-13 * result.force.abs().amax((1, 2))).all()
     for k in range(4):
         a = {name: value[k].numpy() for name, value in given.items()}
         soft = {}
@@ -47,18 +47,14 @@ def test_forces_are_those_of_the_optimizer(kind: str) -> None:
             else None
         )
         weights = {name: a[name] for name in ("force_weight", "barrier_weight")}
-        expected = optimize_force(grasp, a["wrench"], limits=limits, tolerance=1e-12, **weights)
-        # a gap of 1e-12 leaves an error of its square root
-        assert (
-            abs(result.force[k].numpy() - expected.object_force).max()
-            < 5e-6 * abs(expected.object_force).max()
-        )
-        assert (
-            abs(result.multipliers[k].numpy() - expected.multipliers).max()
-            < 5e-5 * abs(expected.multipliers).max()
-        )
-        if soft:
-            assert abs(result.torsion[k].numpy() - expected.torsion).max() < 1e-6
+        expected = optimize_force(grasp, a["wrench"], limits=limits, tolerance=1e-13, **weights)
+        # a gap of 1e-13 leaves an error of its square root
+        force, torsion, multipliers = (part[k].numpy() for part in result[:3])
+        size = abs(expected.object_force).max()
+        np.testing.assert_allclose(force, expected.object_force, rtol=0, atol=1e-6 * size)
+        np.testing.assert_allclose(torsion, expected.torsion, rtol=0, atol=1e-8 * size)
+        near = 1e-5 * abs(expected.multipliers).max()
+        np.testing.assert_allclose(multipliers, expected.multipliers, rtol=1e-4, atol=near)
 
 
 @pytest.mark.parametrize("kind", [*KINDS, "exceeded", "unbalanced"])
@@ -189,18 +185,6 @@ def test_shared_inputs_broadcast_and_sum_their_gradients() -> None:
     force.square().sum().backward()
     for name, a in shared.items():
         torch.testing.assert_close(a.grad, alone[name].grad.sum(0), rtol=1e-8, atol=1e-8)  # type: ignore[union-attr]
-
-
-@pytest.mark.usefixtures("way")
-def test_a_number_does_not_widen_the_results() -> None:
-    """As in torch: a number, or a tensor without axes, takes the type of the others."""
-    given = {name: a.to(torch.float32) for name, a in problems("hard", 4).items()}
-    for friction in (0.5, torch.tensor(0.5, dtype=torch.float64)):
-        assert grasp_force(**given | {"friction": friction}).force.dtype is torch.float32
-    assert (
-        grasp_force(**given | {"friction": torch.full((4,), 0.5, dtype=torch.float64)}).force.dtype
-        is torch.float64
-    )
 
 
 @pytest.mark.usefixtures("way")

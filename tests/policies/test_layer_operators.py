@@ -91,7 +91,10 @@ def test_what_is_saved_for_the_backward_pass() -> None:
 
 @pytest.mark.usefixtures("way")
 def test_types() -> None:
-    """float32 in, float32 out, float64 inside; half types become float32, also under autocast."""
+    """float32 in, float32 out, float64 inside; half types become float32, also under autocast.
+
+    A number, or a tensor without axes, takes the type of the others.
+    """
     given = problems("hard", 3)
     low = {name: a.float() for name, a in given.items()}
     result, by = gradients(low)
@@ -105,7 +108,14 @@ def test_types() -> None:
     ]
     assert error(result.force.double(), grasp_force(**given).force) < 1e-4
     assert all(a.dtype == torch.float32 and a.isfinite().all() for a in by.values())
-    assert grasp_force(**low | {"wrench": given["wrench"]}).force.dtype == torch.float64
+    half_each = torch.full((4,), 0.5, dtype=torch.float64)
+    for other, dtype in (
+        ({"wrench": given["wrench"]}, torch.float64),
+        ({"friction": 0.5}, torch.float32),
+        ({"friction": half_each[0]}, torch.float32),
+        ({"friction": half_each}, torch.float64),
+    ):
+        assert grasp_force(**low | other).force.dtype is dtype
     with torch.autocast("cpu", torch.bfloat16):
         wrench = (low["wrench"] @ torch.eye(6)).requires_grad_()
         half = grasp_force(low["positions"], given["normals"].half(), 0.6, wrench)
