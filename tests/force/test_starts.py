@@ -328,20 +328,20 @@ def test_a_rule_gets_the_contacts_of_the_call() -> None:
         return CoreRule("single_value")(grasp, wrench)
 
     five = GRASPS["cuboid, 5"]
-    tangents = np.cross(five.normals, [0.6, 0.48, 0.64])
-    rough = np.tile([0.4, 0.6], (5, 1))
-    places = moved(five, np.random.default_rng(6), 0.01)
-    here, there = (
-        Grasp.from_contacts(each.positions, each.normals, rough, tangents=tangents)
-        for each in (five, places)
+    tangents = np.random.default_rng(7).standard_normal((5, 3))
+    rough = np.linspace(0.4, 0.8, 10).reshape(5, 2)
+    there = moved(five, np.random.default_rng(6), 0.01)
+    there = Grasp.from_contacts(there.positions, there.normals, rough, tangents=tangents)
+    optimizer = ForceOptimizer(
+        Grasp.from_contacts(five.positions, five.normals, 0.4, tangents=tangents)
     )
-    optimizer = ForceOptimizer(here)
-    touching = np.array([True, True, True, True, False])
-    contacts = {"positions": there.positions, "normals": there.normals}
+    touching = np.array([True, False, True, True, True])
+    contacts = {"positions": there.positions, "normals": there.normals, "friction": rough}
     found = optimizer.solve(LIGHT, initial=rule, **contacts, contacts=touching)
     np.testing.assert_array_equal(seen[0].positions, there.positions[touching])
     np.testing.assert_allclose(seen[0].frames, there.frames[touching], atol=1e-15)
-    assert (found.initial, found.force[4].any()) == ("rule", False)
+    np.testing.assert_array_equal(seen[0].models.friction, rough[touching])
+    assert (found.initial, found.force[1].any()) == ("rule", False)
     assert optimizer.solve(LIGHT, initial=rule, **contacts).initial == "rule"
     tight = ForceLimits(max_normal=0.9 * float(found.force[:, 0].max()))
     assert optimize_force(seen[0], LIGHT, limits=tight, initial=rule).status is Status.OPTIMAL
