@@ -7,7 +7,6 @@ from math import floor
 
 import numpy as np
 import pytest
-from force.named import NAMED
 from oracles import full_flow
 from oracles import reduced_flow as flow
 from oracles.descent import followed
@@ -22,7 +21,6 @@ from grasp_env.force import (
     ForceOptimizer,
     Objective,
     OfflineBasis,
-    Status,
 )
 from grasp_env.force.initial import LinearCombination
 from grasp_env.grasp import Grasp
@@ -30,7 +28,6 @@ from grasp_env.quality import force_closure
 
 OBJECTIVE = Objective(1.0, 0.1)
 CUBOID = GRASPS["cuboid, 4"]
-ALL = {**GRASPS, **{name: NAMED[name].grasp for name in ("elliptic", "rough and frictionless")}}
 
 
 def nearly_open(margin: float) -> Grasp:
@@ -118,35 +115,6 @@ def test_full_and_reduced_iterates_are_equal(name: str) -> None:
             assert np.abs(other - reduced).max() < 1e-10 * np.abs(reduced).max()
     kept = a @ whole
     assert np.abs(kept - np.append(np.zeros(6 * grasp.n_contacts), -LIGHT)).max() < 1e-11
-
-
-@pytest.mark.parametrize("method", ["reduced_flow", "full_flow"])
-@pytest.mark.parametrize("name", ALL)
-def test_methods_take_the_steps_of_the_plain_flow(name: str, method: str) -> None:
-    grasp = ALL[name]
-    rule = AdaptiveStep()
-    count = 12  # growing and rejected steps; too few for rounding to decide one
-    land = landscape(grasp.unit_frame @ grasp.cone_matrix, weights(grasp))
-    descent, iterates = followed(start(grasp), land, rule, count)
-    options = {
-        "barrier_weight": 0.1,
-        "step_rule": rule,
-        "max_iterations": count,
-        "tolerance": 1e-300,
-    }
-    optimizer = ForceOptimizer(grasp, method=method, **options)
-    solution = optimizer.solve(LIGHT, initial=grasp.to_force(start(grasp)), trace=True)
-    assert (solution.method, solution.initial, solution.status) == (
-        method,
-        "given",
-        Status.ITERATION_LIMIT,
-    )
-    assert (solution.iterations, solution.trials) == (count, descent.trials)
-    assert descent.trials > count
-    np.testing.assert_allclose(solution.objective_trace, descent.values, rtol=1e-10)
-    last = grasp.to_cone(solution.force).reshape(-1)
-    np.testing.assert_allclose(last, iterates[-1], rtol=0, atol=1e-10 * np.abs(iterates[-1]).max())
-    np.testing.assert_array_equal(solution.force[grasp.friction == 0.0, 1:], 0.0)
 
 
 def test_printed_indices_for_four_fingers() -> None:
