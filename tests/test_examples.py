@@ -57,7 +57,6 @@ def test_an_example_is_short_and_says_what_it_shows(path: Path) -> None:
 
 @whatever
 def test_an_example_uses_what_everybody_may(path: Path) -> None:
-    """No private names of others, and an assertion about its own results."""
     nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
     own = {node.name for node in nodes if isinstance(node, ast.FunctionDef)}
     names = {node.attr for node in nodes if isinstance(node, ast.Attribute)} - own

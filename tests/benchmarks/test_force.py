@@ -331,7 +331,6 @@ def test_negative_prices_count_as_none():
 
 
 def test_no_witness_against_a_feasible_wrench():
-    """Random twists, and those of the optimum, never separate what a force balances."""
     twists = [
         *np.random.default_rng(0).standard_normal((200, 6)),
         OPTIMUM.multipliers,
@@ -343,7 +342,6 @@ def test_no_witness_against_a_feasible_wrench():
 
 
 def test_bounds_bracket_every_balanced_force():
-    """Forces moved along internal forces never go below the dual bound of any multipliers."""
     rng = np.random.default_rng(0)
     null = np.linalg.svd(PROBLEM.matrix)[2][6:]
     middle = (

@@ -262,7 +262,6 @@ def test_either_form_shows_that_no_force_exists(form):
 
 
 def test_tables_of_known_rows():
-    """Entrants of known times: ratios, ties, failures, profiles, and the table of the page."""
     rng = np.random.default_rng(0)
     keys = ("case", "objective", "mode", "language", "division", "event")
     base = dict(zip(keys, ("smooth", "sum", "persistent", "Python", "closed", "4"), strict=True))

@@ -151,7 +151,6 @@ SPOILED: dict[str, Callable[[np.ndarray], object]] = {
 
 @pytest.mark.parametrize("name", CALLS)
 def test_arrays_are_as_the_core_reads_them_or_refused(name: str) -> None:
-    """Nothing is read wrongly, and nothing is written where an argument is refused."""
     call = CALLS[name]
     good = CALLS[name].arguments()
     outcome = call.run(**good)

@@ -196,8 +196,6 @@ def test_a_row_without_a_force_does_not_look_like_an_optimum_of_zero(method: str
 @pytest.mark.parametrize("method", ["newton", "reduced flow", "sum"])
 @pytest.mark.parametrize("count", [4, 9])
 def test_contacts_of_a_call(count: int, method: str) -> None:
-    """Moved contacts have the answer of a solver made for them, and the previous solution follows
-    them in fewer steps."""
     s = sample(count)
     rng = np.random.default_rng(count)
     saved = 0.0

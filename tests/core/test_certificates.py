@@ -116,8 +116,6 @@ def test_infeasible_is_proven_or_exceeded_least(count: int, what: str, free: int
 
 @pytest.mark.parametrize("method", ["newton", "reduced flow", "sum", "largest"])
 def test_fingers_that_all_push_one_way_have_proofs_or_forces(method: str) -> None:
-    """Without force closure an object pressed against the fingers is held; if it is lifted, a twist
-    proves that none holds it."""
     base = sample(4)
     s = Sample(
         base.positions,

@@ -175,8 +175,6 @@ def test_setup_names_what_is_wrong(said: dict[str, str], setup: str, words: str)
 
 
 def test_calls_allocate_nothing(said: dict[str, str]) -> None:
-    """All algorithms with all starts, contacts of the call and some of them, and refused calls
-    between."""
     counted = {
         name.removeprefix("allocations of "): line
         for name, line in said.items()

@@ -187,7 +187,6 @@ def test_what_is_not_ordinary_is_left(method: str, count: int) -> None:
 @each_method
 @pytest.mark.parametrize("count", [3, 9])
 def test_no_answer_depends_on_its_neighbours(method: str, count: int) -> None:
-    """Each grasp has 0 to 20 wrenches; the grasps in another order, and one at a time."""
     given = [placed(s) for s in grasps(count, "hard")]
     rng = np.random.default_rng(count)
     own = rng.integers(0, 20, len(given)) * (rng.uniform(size=len(given)) < 0.7) + (

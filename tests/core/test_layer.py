@@ -227,8 +227,6 @@ def test_masked_problems_have_no_gradient_and_their_forces_stay_inside(kind: str
 
 
 def test_problems_are_read_in_any_layout() -> None:
-    """Rows that all problems share, numbers, one coefficient a contact, float32, other strides,
-    several leading dimensions."""
     given = batch("hard", 20)
     plain = solved(given)
     double = mapped(given, lambda array: array.astype(np.float32).astype(np.float64))

@@ -67,8 +67,6 @@ def check(
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("count", COUNTS)
 def test_newton_finds_the_optimum_of_the_oracle(count: int, kind: str) -> None:
-    """Start from nothing, from its own optimum, from that of a nearby wrench, from a given force
-    and from a guess."""
     if count > 9 and kind not in HARD:
         pytest.skip("the general program is not made of registers")
     rng = np.random.default_rng(count)
@@ -115,7 +113,6 @@ def test_newton_finds_the_optimum_of_the_oracle(count: int, kind: str) -> None:
 @pytest.mark.parametrize("kind", [*HARD, "some soft"])
 @pytest.mark.parametrize("count", SOME)
 def test_steps_are_the_oracles(count: int, kind: str) -> None:
-    """Each step has the direction of the dense KKT system."""
     c = case(count, kind)
     load = wrenches(np.random.default_rng(count), 1, 5.0)[0]
     rows = [c.solver(tolerance=1e-15, limit=k).solve(load)[0] for k in range(5)]
@@ -161,7 +158,6 @@ def test_a_previous_solution_follows_the_wrench_by_the_tangent_correction(
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_bound_is_one_far_from_the_optimum(kind: str) -> None:
-    """Newton is stopped after each number of steps."""
     c = case(5, kind)
     load = wrenches(np.random.default_rng(2), 1, 0.1 * of(kind))[0]
     best = c.minimum(load)
@@ -247,8 +243,6 @@ def test_starts_are_balanced_and_inside(count: int, name: str) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_given_start_is_one_or_refused(kind: str) -> None:
-    """A given force must be balanced and strictly inside; a useless guess or previous solution is
-    replaced."""
     c = case(4, kind)
     load = next(
         load

@@ -75,7 +75,6 @@ def distance(one: np.ndarray, two: np.ndarray) -> float:
 @pytest.mark.parametrize("first", KINDS)
 @pytest.mark.parametrize("second", KINDS)
 def test_random_pairs_of_solids(first: str, second: str) -> None:
-    """Apart, touching, deep in one another, concentric and flat."""
     rng = np.random.default_rng([KINDS.index(first), KINDS.index(second)])
     for trial in range(12):
         a, corners_a, radius_a = solid(first, rng, 1e-4 if trial % 3 == 0 else 1.0)

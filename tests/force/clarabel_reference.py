@@ -10,7 +10,7 @@ length.
 
 from __future__ import annotations
 
-from importlib import import_module
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,6 +19,9 @@ from scipy import sparse
 
 from grasp_env.force import ForceLimits
 from grasp_env.grasp import Grasp
+
+with suppress(ImportError):
+    import clarabel
 
 Array = np.ndarray
 Weight = float | Array
@@ -183,15 +186,8 @@ class Reference:
         """
         at_centre = self._at_centre(nu)
         prices = np.maximum(prices, 0.0)
-        g = np.einsum("rna,r->na", self.matrix, at_centre) - np.einsum(
-            "kna,k->na", self.rows, prices
-        )
-        need = (
-            g[:, 0]
-            + np.hypot(self.mu[:, 0] * g[:, 1], self.mu[:, 1] * g[:, 2])
-            + self.gamma * np.abs(g[:, 3])
-        )
-        need = need / np.broadcast_to(omega, self.count)
+        g, least = self._pull(at_centre, -prices)
+        need = (g[:, 0] + least) / np.broadcast_to(omega, self.count)
         most = float(need.max()) if criterion == "sum" else float(np.maximum(need, 0.0).sum())
         theta = 1.0 if most <= 1.0 else 1.0 / most
         # nu . w with the moments where they are smallest
@@ -207,14 +203,17 @@ class Reference:
         y = np.zeros(len(self.bound)) if prices is None or not len(prices) else prices
         v = self._at_centre(twist)
         load = self.load(wrench)
-        q = np.einsum("rna,r->na", self.matrix, v) + np.einsum("kna,k->na", self.rows, y)
-        need = np.hypot(self.mu[:, 0] * q[:, 1], self.mu[:, 1] * q[:, 2]) + self.gamma * np.abs(
-            q[:, 3]
-        )
+        q, need = self._pull(v, y)
         size = max(np.abs(q).max(), np.abs(self.rows * y[:, None, None]).max(initial=0.0))
         terms = float(np.abs(v * load).sum()) + abs(float(y @ self.bound))
         short = (float(v @ load) - float(y @ self.bound)) / (terms or 1.0)
         return min(float((q[:, 0] - need).min()) / size, short, float(y.min(initial=0.0)))
+
+    def _pull(self, v: Array, y: Array) -> tuple[Array, Array]:
+        """q = G^T v + A^T y (N, 4), and the least normal components (N,) of it in the dual cones."""
+        q = np.einsum("rna,r->na", self.matrix, v) + np.einsum("kna,k->na", self.rows, y)
+        across = np.hypot(self.mu[:, 0] * q[:, 1], self.mu[:, 1] * q[:, 2])
+        return q, across + self.gamma * np.abs(q[:, 3])
 
     def _at_centre(self, twist: Array) -> Array:
         """A twist or multipliers (6,) about the origin, about the centre and per length."""
@@ -222,10 +221,16 @@ class Reference:
             [twist[:3] + np.cross(twist[3:], self.centre), twist[3:] * self.length]
         )
 
-    def _cones(self, width: int, size: float) -> tuple[list[Array], list[Array], list]:
-        """Rows A x + s = b of everything but balance, for x = (n, o, t, tau) of each contact and
+    def _program(
+        self, wrench: Array, width: int
+    ) -> tuple[float, list[Array], list[Array], list[Any]]:
+        """The size of the wrench, and rows A x + s = b of balance, then of components that are
+        zero, then all inequalities, for x = (n, o, t, tau) of each contact over that size and
         `width - 4N` others."""
-        clarabel = import_module("clarabel")
+        load = self.load(np.asarray(wrench, dtype=float))
+        size = float(np.abs(load).max()) or 1.0
+        balance = np.zeros((6, width))
+        balance[:, : 4 * self.count] = self.matrix.reshape(6, -1)
         each = np.eye(width)
         soft = np.flatnonzero(self.gamma > 0.0)
         slick = np.flatnonzero(self.mu[:, 0] == 0.0)
@@ -244,32 +249,25 @@ class Reference:
             for row, length in zip(self.rows, lengths, strict=True)
         ]
         bound = np.concatenate([np.zeros(len(linear)), self.bound / size / lengths])
-        blocks: list[Array] = [fixed, np.array([*linear, *rows]).reshape(-1, width)]
-        right: list[Array] = [np.zeros(len(fixed)), bound]
-        cones: list = [clarabel.ZeroConeT(len(fixed)), clarabel.NonnegativeConeT(len(bound))]
+        blocks: list[Array] = [balance, fixed, np.array([*linear, *rows]).reshape(-1, width)]
+        right: list[Array] = [-load / size, np.zeros(len(fixed)), bound]
+        cones: list = [clarabel.ZeroConeT(6), clarabel.ZeroConeT(len(fixed))]
+        cones.append(clarabel.NonnegativeConeT(len(bound)))
         for k in np.flatnonzero(self.mu[:, 0] > 0.0):
             o, t = (each[4 * k + 1 + a] / self.mu[k, a] for a in (0, 1))
             blocks.append(-np.array([each[4 * k], o, t]))
             right.append(np.zeros(3))
             cones.append(clarabel.SecondOrderConeT(3))
         kept = [k for k in range(len(blocks)) if len(blocks[k])]
-        return [blocks[k] for k in kept], [right[k] for k in kept], [cones[k] for k in kept]
+        return size, *([part[k] for k in kept] for part in (blocks, right, cones))
 
     def solve(
         self, wrench: Array, criterion: str = "sum", tolerance: float = 1e-11, omega: Weight = 1.0
     ) -> Optimum:
         """The least sum, or largest, of omega times normal force."""
-        clarabel = import_module("clarabel")
-        load = self.load(np.asarray(wrench, dtype=float))
-        size = float(np.abs(load).max()) or 1.0
         width = 4 * self.count + (criterion == "max")
         cost = np.zeros(width)
-        blocks, right, cones = self._cones(width, size)
-        balance = np.zeros((6, width))
-        balance[:, : 4 * self.count] = self.matrix.reshape(6, -1)
-        blocks = [balance, *blocks]
-        right = [-load / size, *right]
-        cones = [clarabel.ZeroConeT(6), *cones]
+        size, blocks, right, cones = self._program(wrench, width)
         if criterion == "max":
             cost[-1] = 1.0
             blocks.append(
@@ -290,19 +288,13 @@ class Reference:
     def least_excess(self, wrench: Array) -> float:
         """The least possible excess of a limit: one more variable t, every limit raised by t of
         itself; nan: unsolved."""
-        clarabel = import_module("clarabel")
-        load = self.load(np.asarray(wrench, dtype=float))
-        size = float(np.abs(load).max()) or 1.0
         width = 4 * self.count + 1
-        blocks, right, cones = self._cones(width, size)
+        size, blocks, right, cones = self._program(wrench, width)
         lengths = np.sqrt((self.rows**2).sum(axis=(1, 2)))
         linear = next(k for k, cone in enumerate(cones) if "Nonnegative" in type(cone).__name__)
         blocks[linear][-len(lengths) :, -1] = -self.limited / size / lengths
-        balance = np.zeros((6, width))
-        balance[:, :-1] = self.matrix.reshape(6, -1)
-        rows = np.vstack([balance, *blocks])
-        sides = np.concatenate([-load / size, *right])
-        found = _run(np.eye(width)[-1], rows, sides, [clarabel.ZeroConeT(6), *cones], 1e-9)
+        rows = np.vstack(blocks)
+        found = _run(np.eye(width)[-1], rows, np.concatenate(right), cones, 1e-9)
         return found.obj_val if str(found.status) in SOLVED else float("nan")
 
     def least_phi(
@@ -314,7 +306,6 @@ class Reference:
         2u/(u^2 - s^2) <= y where u (u - z) >= s^2 and y z >= 2; 2u/(u^2 - v^2) the same; 1/room <=
         y where room y >= 1.
         """
-        clarabel = import_module("clarabel")
         count = self.count
         load = self.load(np.asarray(wrench, dtype=float))
         prices, lambdas, of_rows = self._weights(omega, lam)
@@ -391,11 +382,8 @@ class Reference:
         max m  s.t.  G f + r w = 0,  f deeper than m in its cones, b r - A f >= m, r >= m,  sum n +
         r = 1.
         """
-        clarabel = import_module("clarabel")
-        load = self.load(np.asarray(wrench, dtype=float))
-        size = float(np.abs(load).max()) or 1.0
         width = 4 * self.count + 2
-        blocks, right, cones = self._cones(width, size)
+        _, blocks, right, cones = self._program(wrench, width)
         # every inequality is b - A x >= 0: b moves to r's column and m shrinks the first row of
         # every cone
         for k, cone in enumerate(cones):
@@ -404,13 +392,14 @@ class Reference:
             elif "Nonnegative" in type(cone).__name__:
                 blocks[k][:, -2:] = np.column_stack([np.ones(len(right[k])), -right[k]])
                 right[k] = np.zeros(len(right[k]))
-        balance = np.zeros((7, width))
         each = np.eye(width)
-        balance[:6, : 4 * self.count], balance[:6, -1] = self.matrix.reshape(6, -1), load / size
-        balance[6, : 4 * self.count : 4] = balance[6, -1] = 1.0
-        rows = np.vstack([balance, *blocks, each[-2] - each[-1]])
-        kinds = [clarabel.ZeroConeT(7), *cones, clarabel.NonnegativeConeT(1)]
-        found = _run(-each[-2], rows, np.concatenate([np.eye(7)[6], *right, [0.0]]), kinds, 1e-10)
+        blocks[0][:, -1] = -right[0]
+        right[0] = np.zeros(6)
+        total = each[-1].copy()
+        total[: 4 * self.count : 4] = 1.0
+        rows = np.vstack([total, *blocks, each[-2] - each[-1]])
+        kinds = [clarabel.ZeroConeT(1), *cones, clarabel.NonnegativeConeT(1)]
+        found = _run(-each[-2], rows, np.concatenate([[1.0], *right, [0.0]]), kinds, 1e-10)
         return -found.obj_val if str(found.status) in SOLVED else float("nan")
 
 
@@ -428,7 +417,6 @@ def own_error(found: Any, cost: Array, matrix: Array, right: Array) -> float:
 
 
 def _run(cost: Array, matrix: Array, right: Array, cones: list, tolerance: float):
-    clarabel = import_module("clarabel")
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.presolve_enable = False

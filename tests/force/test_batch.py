@@ -97,8 +97,6 @@ def test_no_answer_depends_on_threads_or_neighbours(kind: str) -> None:
 
 @pytest.mark.parametrize(("method", "tolerance"), [("newton", 1e-8), ("conic", 1e-9)])
 def test_what_agrees_where_sums_round_differently(method: str, tolerance: float) -> None:
-    """The status, and the objective within the tolerance; most forces agree to nine digits, all to
-    the root of the tolerance."""
     rng = np.random.default_rng(0)
     apart = []
     for _ in range(20):
@@ -130,8 +128,6 @@ def ring(count: int) -> Grasp:
 )
 @pytest.mark.parametrize("method", ["newton", "conic"])
 def test_grasps_of_every_kind_side_by_side(method: str, weights: list[float] | None) -> None:
-    """Nearly coplanar, without force closure, soft, elliptic and frictionless among ordinary ones:
-    the results of single calls."""
     base = ring(8)
     positions, normals = base.positions, base.normals
     grasps = [
@@ -182,8 +178,6 @@ PALM = Grasp.from_contacts(GRASP.positions, [[0.0, 0.0, 1.0]] * 4, 0.4)
 
 @pytest.mark.parametrize("error", [NotConvergedError, InfeasibleWrenchError])
 def test_what_a_rule_leaves_undecided_is_no_optimum(error: type[GraspError]) -> None:
-    """No force, an infinite objective and no bound, on one grasp and on many; the others have the
-    answers of single calls."""
 
     def rule(grasp: Grasp, load: np.ndarray) -> np.ndarray:
         if load[0] > 0.0:
@@ -314,7 +308,6 @@ print(took, threading.active_count())
 
 
 def test_an_interrupt_ends_a_batch() -> None:
-    """Within about a second, at any length; later batches have the same bits."""
     command = [sys.executable, "-c", INTERRUPTED]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     done = subprocess.run(

@@ -189,7 +189,6 @@ def test_every_entry_point(name: str, method: str) -> None:
 
 @EACH
 def test_objectives_are_those_of_an_outside_judge(name: str, method: str) -> None:
-    """The file's results are found again, also by Clarabel."""
     pytest.importorskip("clarabel")
     found = judged(NAMED[name], method)
     known = NAMED[name].known[method]
@@ -207,7 +206,6 @@ def test_objectives_are_those_of_an_outside_judge(name: str, method: str) -> Non
 @pytest.mark.parametrize("name", SMOOTH)
 @pytest.mark.parametrize("method", METHODS)
 def test_multipliers_and_prices_are_derivatives(name: str, method: str) -> None:
-    """They are those of the objective with respect to the wrench and to each limit."""
     p = NAMED[name]
     options = {**p.options(method), "tolerance": 1e-10 if method == "newton" else 1e-9}
 

@@ -91,7 +91,6 @@ def part_of(limits: ForceLimits | None, chosen: np.ndarray) -> ForceLimits | Non
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_order_of_calls_does_not_matter(kind: str) -> None:
-    """To the bit, whatever the other calls had."""
     grasp, options = KINDS[kind]
     rough = 0.5 if grasp is not ELLIPTIC else np.tile([0.5, 0.5], (5, 1))
     some = [True, True, True, True, False]
@@ -121,8 +120,6 @@ def test_the_order_of_calls_does_not_matter(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_any_contacts_that_touch_are_a_grasp_of_those(kind: str) -> None:
-    """The same verdict and optimum as a grasp of that subset, and no force elsewhere: all 31
-    subsets of five."""
     grasp, options = KINDS[kind]
     optimizer = ForceOptimizer(grasp, **options)
     solved = 0
@@ -213,10 +210,6 @@ def test_previous_starts_with_the_methods_own_and_then_remembers(method: str, ow
 
 
 def test_a_solution_that_was_kept_is_the_previous_one() -> None:
-    """Also one of a solver with limits, whose row is longer.
-
-    One of other contacts, or without a force, is refused.
-    """
     optimizer = ForceOptimizer(FIVE, initial="previous")
     kept = ForceOptimizer(FIVE, limits=OWN).solve(LOAD)
     optimizer.previous = kept
@@ -450,7 +443,6 @@ RING = Grasp.from_contacts(-0.05 * INWARD, INWARD, 0.5)
 
 
 def test_a_proof_of_the_cones_alone_has_no_prices() -> None:
-    """Those of the last solve are not left behind."""
     optimizer = ForceOptimizer(PALM, limits=ForceLimits(max_normal=2.0))
     with pytest.raises(InfeasibleWrenchError) as by_limits:
         optimizer.solve([0.0, 0.0, -50.0, 0.0, 0.0, 0.0])

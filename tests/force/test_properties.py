@@ -128,7 +128,6 @@ def in_another_unit(grasp: Grasp, wrench: np.ndarray, rng: Generator) -> Same:
 def test_the_same_problem_has_the_same_answer(
     change: Callable[..., Same], seed: int, kind: str, what: str
 ) -> None:
-    """The same objective, and for Phi, whose optimum is unique, the same force."""
     grasp, wrench, rng = case(seed, kind)
     other, load, order, side = change(grasp, wrench, rng)
     if what != "newton":

@@ -291,7 +291,6 @@ def test_without_closure_only_phase_one_has_a_start() -> None:
     "name", ["pinch", "soft", "mixed", "hard, normals", "hard, torques", "own joints", "all"]
 )
 def test_any_start_ends_at_the_same_optimum(name: str) -> None:
-    """Given forces have to be balanced and inside the cones, and may exceed limits."""
     p = NAMED[name]
     optimizer = ForceOptimizer(p.grasp, **p.options("newton"))
     want = optimizer.solve(p.wrench)

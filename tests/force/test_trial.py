@@ -175,8 +175,6 @@ def trial(
 
 @pytest.mark.parametrize(("family", "method", "elastic"), CASES)
 def test_sample(family: str, method: str, elastic: bool) -> None:
-    """Optimal, least excess or proven infeasible; the objective is Clarabel's where it has the
-    digits."""
     counts, notes = trial(family, 3, PROBLEMS[family], method, elastic)
     assert not [note for note in notes if ": wrong" in note], notes
     if family == "hard" and method != "max":  # the core's own solvers have no exception at all
@@ -197,7 +195,6 @@ def test_sample(family: str, method: str, elastic: bool) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("family", "method", "elastic"), CASES)
 def test_thousands(family: str, method: str, elastic: bool) -> None:
-    """Nothing wrong, and few of the rest far from the least objective."""
     counts, notes = trial(family, SEED, 3000 if family == "hard" else 1500, method, elastic)
     print("\n".join(notes), *sorted(counts.items()), sep="\n")
     assert not [note for note in notes if ": wrong" in note]

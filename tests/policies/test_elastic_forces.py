@@ -102,8 +102,6 @@ KINDS = {
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_elastic_forces_are_least_and_their_multipliers_are_slopes(kind: str) -> None:
-    """No change lowers the plain formula, and the multipliers tell how its least value changes with
-    the wrench."""
     given = KINDS[kind]()
     rng = np.random.default_rng(0)
     step = 1e-4
@@ -148,7 +146,6 @@ def test_elastic_forces_are_least_and_their_multipliers_are_slopes(kind: str) ->
 
 
 def test_other_forces_exceed_the_limits_no_less() -> None:
-    """Another minimiser finds no smaller sum of squared excesses."""
     given = human("normals", 4, 24, seed=2)
     found = elastic(**given)
     exceeding = (found.status == 5).nonzero().flatten().tolist()

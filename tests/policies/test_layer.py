@@ -116,8 +116,6 @@ SPOILED = [
 
 @pytest.mark.usefixtures("way")
 def test_an_element_does_not_disturb_its_neighbours() -> None:
-    """Infeasible and refused elements among good ones: no nan, and the others are as without them,
-    in any chunk."""
     given = problems("soft", 300)
     given["friction"][3] = given["torsional_friction"][3] = 1e-4  # nothing balances this wrench
     good = torch.ones(len(given["wrench"]), dtype=torch.bool)
@@ -144,8 +142,6 @@ def test_an_element_does_not_disturb_its_neighbours() -> None:
 @pytest.mark.usefixtures("way")
 @pytest.mark.parametrize("kind", ["exceeded", "unbalanced"])
 def test_elements_without_an_optimum(kind: str) -> None:
-    """Forces are strictly inside the cones; the gradient is zero, that of the elastic force, or an
-    error names the elements."""
     bad = problems(kind, 2)
     count = 2 if kind == "unbalanced" else 4
     masked, by = gradients(bad)
@@ -287,8 +283,6 @@ def test_a_small_barrier_weight_approaches_the_exact_problem() -> None:
 
 
 def test_two_contacts_have_forces_and_gradients_within_their_reach() -> None:
-    """The forces are those of `ForceOptimizer`; slopes along every change that keeps the wrench
-    within reach."""
     pinch = Grasp.from_contacts(
         [[0, 0.03, 0.01], [0.002, -0.03, 0]],
         [[0, -1, 0.1], [0, 1, 0]] / np.array([[1.005], [1]]),

@@ -45,8 +45,6 @@ LAYOUTS: dict[str, Callable[[dict[str, Tensor]], dict[str, Tensor]]] = {
 
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_every_layout_is_read(layout: str) -> None:
-    """Read in place or converted by torch's operators: the same bits, and gradients in the layout
-    of the inputs."""
     given = LAYOUTS[layout](problems("own joints", 6))
     result, by = gradients(given, max_normal=50.0)
     limit = torch.tensor(50.0, dtype=torch.float64)
@@ -137,7 +135,6 @@ def test_gradients_of_the_forces_are_read_in_any_layout() -> None:
 
 
 def test_transforms() -> None:
-    """`vmap`, `grad` and `jacrev`, nested, and `torch.compile` without a break."""
     given = problems("soft", 3)
     wrench = given.pop("wrench")
     others = {name: a[0] for name, a in given.items()}

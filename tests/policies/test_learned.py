@@ -35,7 +35,6 @@ def rule() -> LearnedInitialForce:
     ("shift", "friction"), [(0.0, 0.34), (0.003, 0.4), (0.01, 0.2), (0.0, 1.1)]
 )
 def test_balanced_strictly_feasible_never_worse_than_the_basis(rule, shift, friction):
-    """Also on moved contacts, unseen friction and wrenches far outside the training range."""
     grasp = presets.paper_cuboid()
     rng = np.random.default_rng(2)
     offset = np.random.default_rng(1).uniform(-shift, shift, grasp.positions.shape) * [1, 1, 0]
@@ -56,7 +55,6 @@ def test_balanced_strictly_feasible_never_worse_than_the_basis(rule, shift, fric
 
 @pytest.mark.parametrize("size", [1.0, 1e5, 3e38])
 def test_never_worse_whatever_the_weights_say(rule, size):
-    """Random networks, up to the largest numbers of float32."""
     rng = np.random.default_rng(10)
     wrenches = wrench.sample_magnitudes(rng, 300, 1e-3, 1000.0)
     for _ in range(3):
@@ -77,7 +75,6 @@ def test_never_worse_whatever_the_weights_say(rule, size):
 @pytest.mark.parametrize("count", [10_000, pytest.param(10_000_000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("method", OWN)
 def test_never_worse(rule, method, count):
-    """Wrenches of 1e-4 to 1e4 N, frictions inside and outside the trained range."""
     assert trial(rule, count, 9, method) == 0
 
 

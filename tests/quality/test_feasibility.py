@@ -65,8 +65,6 @@ def test_verdicts_against_linear_programs() -> None:
 @pytest.mark.parametrize("model", ["hard", "soft"])
 @pytest.mark.parametrize("what", ["normals", "own joints", "shared joints", "bias"])
 def test_without_closure_nothing_needs_no_limit(what: str, model: str) -> None:
-    """At zero wrench the cones alone exclude a force inside them: the proof has no prices, and the
-    message names no limits."""
     rng = np.random.default_rng(3)
     jacobian = (
         0.05 * rng.standard_normal((4, 3, 5)) if what == "shared joints" else own_joints(rng, 4)
@@ -190,7 +188,6 @@ def test_grasps_next_to_a_symmetric_one(size: float) -> None:
 
 
 def test_a_start_that_does_not_exist_has_the_prices_of_its_proof() -> None:
-    """The error has the prices of its own proof, not those that the call before has left."""
     shared = 0.05 * np.random.default_rng(3).standard_normal((4, 3, 5))
     limits = ForceLimits(jacobian=shared, torque_limit=0.1)
     optimizer = ForceOptimizer(CUBOID, limits=limits)
