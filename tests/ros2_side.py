@@ -50,11 +50,7 @@ class Hand:
         ]
         self.contacts.point_step = 4 * len(names)
         # contacts go last
-        topics = {
-            "joint_states": self.joints,
-            "wrench": self.wrench,
-            "contacts": self.contacts,
-        }
+        topics = {"joint_states": self.joints, "wrench": self.wrench, "contacts": self.contacts}
         self.outputs = {
             topic: (self.node.create_publisher(type(message), topic, newest), message)
             for topic, message in topics.items()

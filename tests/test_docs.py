@@ -57,9 +57,7 @@ SHOWN_BY = {
 }
 """Results, by the call that returns them, records, by their base, and variants, by the first: its
 example shows them."""
-NO_EXAMPLE = {
-    "policies.Policy": "a protocol",
-}
+NO_EXAMPLE = {"policies.Policy": "a protocol"}
 
 
 def own(module: str) -> list[str]:

@@ -68,10 +68,7 @@ def test_a_run_is_kept_as_its_summary_and_quick_ones_are_refused(tmp_path, monke
     kept = json.loads((tmp_path / "results" / "env.json").read_text())
     assert {*kept} <= {*PROVENANCE}
     # a path says something about one machine only
-    assert kept["settings"]["hands"] == [
-        "hand.urdf",
-        "allegro",
-    ]
+    assert kept["settings"]["hands"] == ["hand.urdf", "allegro"]
     assert read(tmp_path / "results" / "env.csv")[["n", "held_sum"]].to_numpy().tolist() == [
         [2, 1.0]
     ]

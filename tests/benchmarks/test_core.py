@@ -75,10 +75,7 @@ def test_lines_are_joined():
     ]
     assert calls["apart"].tolist() == pytest.approx([0.1, np.nan, 0.0, 0.0], nan_ok=True)
     # medians of a round: 3 over 2, then 2 over 2
-    assert rows.loc[rows["case"] == RATIO, "ratio"].tolist() == [
-        1.5,
-        1.0,
-    ]
+    assert rows.loc[rows["case"] == RATIO, "ratio"].tolist() == [1.5, 1.0]
     assert rows.loc[rows["method"] == "b", ["side", "reason"]].to_numpy().tolist() == [
         ["baseline", "no b"]
     ]

@@ -147,10 +147,7 @@ def test_a_previous_solution_follows_the_wrench_by_the_tangent_correction(
                 - z
             )
         # the optimum itself, of a large force that grows
-        assert at(row, "code") in (
-            LIMIT,
-            CONVERGED,
-        )
+        assert at(row, "code") in (LIMIT, CONVERGED)
         assert (at(row, "start"), at(row, "replaced")) == (START["previous"], 0.0)
         assert at(row, "iterations") == soft
         np.testing.assert_allclose(c.z(row), z + step, rtol=0, atol=1e-5 * np.abs(step).max())

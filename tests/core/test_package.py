@@ -212,10 +212,7 @@ def test_a_colcon_workspace_builds_what_depends_on_it(tmp_path: Path) -> None:
     source = tmp_path / "src"
     source.mkdir()
     # in order of dependence core is first
-    for name, folder in (
-        ("a_consumer", CONSUMER),
-        ("core", CORE),
-    ):
+    for name, folder in (("a_consumer", CONSUMER), ("core", CORE)):
         (source / name).symlink_to(folder)
     found = succeed(*colcon, "list", "--names-only", "--topological-order", "--base-paths", source)
     assert found.split() == ["grasp", "consumer"]

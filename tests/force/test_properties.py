@@ -134,11 +134,7 @@ def test_the_same_problem_has_the_same_answer(
         assert cost(other, load, what) == pytest.approx(cost(grasp, wrench, what), rel=CONIC)
         return
     # the 12-basis needs force closure
-    options = {
-        "method": "newton",
-        "tolerance": 1e-9,
-        "initial": "phase_one",
-    }
+    options = {"method": "newton", "tolerance": 1e-9, "initial": "phase_one"}
     one = least(grasp, wrench, **options)
     two = least(other, load, **options)
     assert two.objective == pytest.approx(one.objective, rel=3e-9)

@@ -87,11 +87,7 @@ def test_every_reader_refuses_in_words_and_names_what_people_have_in_place_of_a_
         path = tmp_path / kind
         make(path)
         # any JSON is a run's file
-        if reader == "run" and kind in (
-            "not a number",
-            "wrong kinds",
-            "a list",
-        ):
+        if reader == "run" and kind in ("not a number", "wrong kinds", "a list"):
             READERS[reader](path)
             continue
         with pytest.raises(GraspError) as caught:

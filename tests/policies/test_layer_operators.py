@@ -59,12 +59,7 @@ def test_every_layout_is_read(layout: str) -> None:
             assert (a.shape, a.dtype) == (given[name].shape, given[name].dtype)
             torch.testing.assert_close(a, by_again[name], rtol=1e-12, atol=1e-12)
     # which are other problems
-    if layout not in (
-        "one grasp",
-        "one coefficient",
-        "broadcast",
-        "no elements",
-    ):
+    if layout not in ("one grasp", "one coefficient", "broadcast", "no elements"):
         flat = grasp_force(**problems("own joints", 6), max_normal=50.0).force
         flat = flat[0] if layout == "no batch" else flat
         wide = 1e-5 if layout == "float32" else 1e-12
