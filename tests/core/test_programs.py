@@ -35,15 +35,6 @@ def test_random_bytes(programs: Path) -> None:
     assert succeed(programs / "fuzz", SEED, "300") == "300\n"
 
 
-@pytest.mark.parametrize("problems", [4_000, pytest.param(200_000, marks=pytest.mark.slow)])
-def test_a_solver_that_remembers_ends_as_a_cold_one(problems: int, programs: Path) -> None:
-    """Moved contacts near the loss of force closure; the program stops at the first difference."""
-    forces, proofs, neither = map(int, succeed(programs / "previous", SEED, str(problems)).split())
-    assert forces > problems / 3
-    assert proofs > problems / 20
-    assert neither < problems / 1000
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("compiler", ["g++", "clang++"])
 def test_many_random_bytes_under_the_sanitizers(compiler: str, tmp_path: Path) -> None:

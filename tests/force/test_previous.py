@@ -201,3 +201,4 @@ def test_previous_ends_as_a_cold_call(problems: int) -> None:
     assert counts["OPTIMAL"] > problems / 3
     assert counts["InfeasibleWrenchError"] > problems / 20
     assert counts["LIMITS_EXCEEDED"] > 0
+    assert counts["NotConvergedError"] < problems / 1000

@@ -10,7 +10,7 @@ import pytest
 from force.generators import random_grasp, random_wrench
 from scipy.spatial.transform import Rotation
 
-from grasp_env.errors import GraspError, InfeasibleWrenchError
+from grasp_env.errors import GraspError
 from grasp_env.force import ForceSolution, Status, optimize_force
 from grasp_env.grasp import Grasp
 
@@ -154,28 +154,3 @@ def test_powers_of_two_scale_every_bit(seed: int, kind: str, criterion: str, pow
     np.testing.assert_array_equal(other.torsion, 2.0**power * one.torsion)
     np.testing.assert_array_equal(other.multipliers, one.multipliers)
     assert other.iterations == one.iterations
-
-
-# limits, criteria, prices
-
-
-@properties
-@given(SEEDS, KINDS, CRITERIA, strategies.floats(0.0, 1.0))
-def test_the_cost_is_convex_and_the_multipliers_support_it(
-    seed: int, kind: str, criterion: str, part: float
-) -> None:
-    """cost(w') >= -nu .
-
-    w': the subgradient's inequality, without a derivative that may not exist.
-    """
-    grasp, wrench, rng = case(seed, kind)
-    here = least(grasp, wrench, criterion=criterion, tolerance=1e-8)
-    for size in (1e-3, 0.1, 1.0):
-        other = wrench + size * random_wrench(rng, grasp, 0.5, 2.0)
-        try:
-            there = cost(grasp, other, criterion)
-        except InfeasibleWrenchError:
-            continue
-        assert there >= -float(here.multipliers @ other) - 3e-6 * max(abs(there), here.objective)
-        between = cost(grasp, (1.0 - part) * wrench + part * other, criterion)
-        assert between <= ((1.0 - part) * here.objective + part * there) * (1.0 + CONIC)
