@@ -124,6 +124,9 @@ ALGORITHMS = [
     ("sum", "soft limits"),
     ("largest", "hard"),
 ]
+counted = pytest.mark.skipif(
+    not insides.counts_allocations, reason="the sanitizers have an operator new of their own"
+)
 each_algorithm = pytest.mark.parametrize(("method", "kind"), ALGORITHMS)
 
 
@@ -228,9 +231,7 @@ def test_contacts_of_a_call(count: int, method: str) -> None:
     assert saved > 0.0 or method == "sum"
 
 
-@pytest.mark.skipif(
-    not insides.counts_allocations, reason="the sanitizers have an operator new of their own"
-)
+@counted
 @pytest.mark.parametrize("calls", [4_000, pytest.param(1_000_000, marks=pytest.mark.slow)])
 @each_algorithm
 @pytest.mark.parametrize("count", [4, 16])
@@ -262,9 +263,7 @@ def test_nothing_is_allocated(count: int, method: str, kind: str, calls: int) ->
         assert solver.allocations(loads, calls=calls) == 0
 
 
-@pytest.mark.skipif(
-    not insides.counts_allocations, reason="the sanitizers have an operator new of their own"
-)
+@counted
 @pytest.mark.parametrize("limited", [False, True])
 @pytest.mark.parametrize("gamma", [0.0, 0.01])
 @pytest.mark.parametrize("method", ["newton", "sum", "largest"])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from cases import FIELDS, START, Case, at, case, nu_of, own_limits, shared_limits
 from oracles import conic
-from samples import COUNTS, Sample, sample, wrenches
+from samples import COUNTS, sample, wrenches
 from scipy.optimize import linprog
 from test_optimizer import HARD, of
 
@@ -112,31 +112,6 @@ def test_infeasible_is_proven_or_exceeded_least(count: int, what: str, free: int
     assert proofs >= 3
     assert exceeded >= 3
     assert feasible >= (what != "own")
-
-
-@pytest.mark.parametrize("method", ["newton", "reduced flow", "sum", "largest"])
-def test_fingers_that_all_push_one_way_have_proofs_or_forces(method: str) -> None:
-    base = sample(4)
-    s = Sample(
-        base.positions,
-        np.tile([0.0, 0.6, 0.8], (4, 1)),
-        base.scale * 0.0 + [0.3, 1.0, 1.0],
-        base.weights,
-    )
-    c = Case(s, np.zeros(4))
-    solver = c.solver(method, tolerance=1e-4)
-    middle = s.positions.mean(axis=0)
-    press = np.array([0.0, -3.0, -4.0])
-    held = np.concatenate([press, np.cross(middle, press)])
-    row, _ = solver.solve(held)
-    assert at(row, "code") == CONVERGED
-    assert np.abs(s.rows @ c.z(row) + s.unit @ held).max() <= 1e-9 * np.abs(s.unit @ held).max()
-    row, _ = solver.solve(-held)
-    assert at(row, "code") == INFEASIBLE
-    twist = nu_of(row)
-    pull = (s.cone_matrix.T @ twist).reshape(-1, 3)
-    assert twist @ -held > 0.0
-    assert (pull[:, 0] - np.hypot(pull[:, 1], pull[:, 2])).min() >= -1e-9
 
 
 @pytest.mark.parametrize(

@@ -54,6 +54,14 @@ def repeated(made, state, ticks: int, period: float = PERIOD) -> np.ndarray:
     return [made.update(state, period) for _ in range(ticks)][-1]
 
 
+def grasping(hand, state) -> Any:
+    """A controller that has held the ball for some ticks."""
+    made = controller(hand)
+    made.activate(state)
+    repeated(made, state, 40)
+    return made
+
+
 def carried(hand, state) -> tuple[np.ndarray, np.ndarray]:
     """Matrix from forces at the fingertips (N, 3) to torques, and the torques that carry the hand."""
     moves, weight = hand.scene.kinematics.statics(state.angles, state.positions, state.gravity)
@@ -110,9 +118,7 @@ def test_torques_rise_to_those_that_hold_and_end_with_deactivation(hand, state) 
 
 
 def test_without_messages_the_last_forces_stay_then_fade(hand, state) -> None:
-    made = controller(hand)
-    made.activate(state)
-    repeated(made, state, 40)
+    made = grasping(hand, state)
     forces, s = made.forces, made.settings
     turned = replace(state, angles=state.angles + 0.01, rates=state.rates + 0.5, age=s.stale + 1e-6)
     levers, weight = carried(hand, turned)
@@ -135,9 +141,7 @@ def test_without_messages_the_last_forces_stay_then_fade(hand, state) -> None:
 
 @pytest.mark.parametrize("spoil", ["nan", "short", "twisted"])
 def test_broken_messages_are_ignored(hand, state, spoil: str) -> None:
-    made = controller(hand)
-    made.activate(state)
-    repeated(made, state, 40)
+    made = grasping(hand, state)
     held = made.torques
     broken = {
         "nan": replace(state, rates=np.full(16, np.nan)),
@@ -185,9 +189,7 @@ def test_a_finger_loses_its_contact_and_regains_it(hand, state) -> None:
 
 
 def test_lost_closure_and_weak_motors_have_different_statuses(hand, state) -> None:
-    made = controller(hand)
-    made.activate(state)
-    repeated(made, state, 40)
+    made = grasping(hand, state)
     made.update(replace(state, touching=np.array([True, False, False, False])), PERIOD)
     assert made.status == "coasting"
     weak = shown.Calibration(

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from grasp_env.errors import GraspError, InvalidInputError, UnknownNameError
+from grasp_env.errors import InvalidInputError, UnknownNameError
 from grasp_env.force import ForceOptimizer, optimize_force
 from grasp_env.grasp import Grasp, presets
 from grasp_env.inputs.arguments import (
@@ -74,50 +74,27 @@ def test_right_arrays() -> None:
     assert not np.shares_memory(as_array(given, (2,), "masses"), given)
 
 
-WRONG: list[tuple[Callable[[Any], Any], list[Any], type[GraspError], str]] = [
+WRONG: list[tuple[Callable[[Any], Any], list[Any], str]] = [
     (
         lambda x: positive(x, "tolerance"),
         ["0.4", True, None, 1j, [0.4], math.inf, math.nan, -1.0, 0, 10**400],
-        InvalidInputError,
         "must be a number > 0|must lie within 1e-300 to",
     ),
-    (
-        lambda x: number(x, "share", Range(0.0, 1.0)),
-        ["1", None, math.inf, 2],
-        InvalidInputError,
-        "within 0 to 1, got",
-    ),
+    (lambda x: number(x, "share", Range(0.0, 1.0)), ["1", None, math.inf, 2], "within 0 to 1, got"),
     (
         lambda x: whole(x, "count", 0, 10),
         [1.0, "1", True, None, -1, 11],
-        InvalidInputError,
         "count must be an integer",
     ),
-    (
-        lambda x: choice(x, "letter", ("x", "y")),
-        ["a", [], None],
-        UnknownNameError,
-        "choose one of 'x', 'y'",
-    ),
-    (
-        lambda x: flag(x, "trace"),
-        [0, "yes", None],
-        InvalidInputError,
-        "trace must be True or False",
-    ),
-    (
-        lambda x: instance(x, Grasp, "grasp"),
-        [None, 3, Grasp],
-        InvalidInputError,
-        "grasp must be a Grasp, got",
-    ),
+    (lambda x: choice(x, "letter", ("x", "y")), ["a", [], None], "choose one of 'x', 'y'"),
+    (lambda x: flag(x, "trace"), [0, "yes", None], "trace must be True or False"),
+    (lambda x: instance(x, Grasp, "grasp"), [None, 3, Grasp], "grasp must be a Grasp, got"),
 ]
 
 
-@pytest.mark.parametrize(("check", "values", "error", "told"), WRONG)
-def test_wrong_values(
-    check: Callable[[Any], Any], values: list[Any], error: type[GraspError], told: str
-) -> None:
+@pytest.mark.parametrize(("check", "values", "told"), WRONG)
+def test_wrong_values(check: Callable[[Any], Any], values: list[Any], told: str) -> None:
+    error = UnknownNameError if "choose one" in told else InvalidInputError
     for value in values:
         with pytest.raises(error, match=told):
             check(value)
