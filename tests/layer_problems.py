@@ -19,8 +19,8 @@ cannot balance."""
 
 
 def problems(kind: str, batch: int, seed: int = 0) -> dict[str, Tensor]:
-    """Return `batch` problems of one of the `KINDS` or `HOPELESS`: four contacts around an object,
-    two if "unbalanced"."""
+    """Return `batch` problems of one of the `KINDS` or `HOPELESS`, or "own exceeded", of own joints:
+    four contacts around an object, two if "unbalanced"."""
     draw = torch.Generator().manual_seed(seed)
 
     def normal(*shape: int) -> Tensor:
@@ -50,16 +50,17 @@ def problems(kind: str, batch: int, seed: int = 0) -> dict[str, Tensor]:
     if kind in ("soft", "all", "exceeded", "far exceeded"):
         made["torsional_friction"] = uniform(0.002, 0.02, n)
         made["torsional_friction"][:, 0] = 0.0  # a hard one among them
-    if kind == "own joints":
+    if kind in ("own joints", "own exceeded"):
+        limit = 1.0 if kind == "own joints" else 0.01
         jacobian = torch.zeros(batch, n, 3, 3 * n, dtype=torch.float64)
         for i in range(n):
             jacobian[:, i, :, 3 * i : 3 * i + 3] = 0.05 * normal(3, 3)
         made["jacobian"], made["torque_limit"] = (
             jacobian,
-            torch.full((batch, 3 * n), 1.0, dtype=torch.float64),
+            torch.full((batch, 3 * n), limit, dtype=torch.float64),
         )
-        made["torque_bias"] = 0.05 * normal(3 * n)
-    if kind in ("shared joints", "all", *HOPELESS):
+        made["torque_bias"] = 0.05 * limit * normal(3 * n)
+    if kind in ("shared joints", "all", "exceeded", "far exceeded", "unbalanced"):
         made["jacobian"] = 0.05 * normal(n, 6 if kind in ("all", "exceeded") else 3, 5)
         made["torque_limit"] = torch.full(
             (batch, 5), 0.005 if kind == "far exceeded" else 2.0, dtype=torch.float64

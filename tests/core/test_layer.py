@@ -203,29 +203,6 @@ def test_an_answer_and_its_gradient_depend_on_no_neighbour(kind: str) -> None:
         )
 
 
-@pytest.mark.parametrize("kind", ["own tight", "adrift", "adrift own soft"])
-def test_masked_problems_have_no_gradient_and_their_forces_stay_inside(kind: str) -> None:
-    given = batch(kind)
-    state, force, _, _, facts = answer = solved(given)
-    assert (facts[:, 0] != OPTIMAL).all()
-    assert (state[:, -1] > 1.0).all()
-    assert np.isinf(facts[:, 1]).all()
-    assert not any(
-        array.any()
-        for array in differentiated(given, state, loss(kind, answer), elastic=False).values()
-        if array is not None
-    )
-    unit = given["normals"] / np.linalg.norm(given["normals"], axis=2, keepdims=True)
-    normal = (force * unit).sum(2)
-    assert (
-        np.linalg.norm(force - normal[:, :, None] * unit, axis=2)
-        < given["friction"][:, :, 0] * normal
-    ).all()
-    if kind == "own tight":
-        made = np.concatenate([force.sum(1), np.cross(given["positions"], force).sum(1)], 1)
-        assert np.abs(made + given["wrench"]).max() < 1e-12 * np.abs(force).max()
-
-
 def test_problems_are_read_in_any_layout() -> None:
     given = batch("hard", 20)
     plain = solved(given)
