@@ -82,15 +82,6 @@ def test_one_limit_for_all_is_one_each_and_a_copy() -> None:
         limits.max_normal[0] = 5.0  # type: ignore[index]
 
 
-def test_torques_are_those_of_any_shape_of_the_jacobian() -> None:
-    rng = np.random.default_rng(0)
-    jac = rng.standard_normal((4, 6, 5))
-    force = rng.standard_normal((4, 3))
-    plain = joint_torques(jac[:, :3], force)
-    for same in (joint_torques(jac[:, :3].reshape(12, 5), force), joint_torques(jac, force)):
-        np.testing.assert_array_equal(same, plain)
-
-
 # Newton within limits
 
 
