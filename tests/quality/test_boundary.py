@@ -206,6 +206,24 @@ def test_all_methods_agree(problems: int) -> None:
     assert counts["sum stalled"] + counts["max stalled"] <= 0.002 * problems
 
 
+def test_a_load_over_the_edge_of_its_supports() -> None:
+    """A weight above the line between two supports, a nanometre inside or outside, is held; a
+    micrometre outside it is not."""
+    supports = np.array([[0.05, 0.0, 0.0], [-0.05, 0.05, 0.0], [-0.05, -0.05, 0.0]])
+    tray = Grasp.from_contacts(supports, [[0.0, 0.0, 1.0]] * 3, 0.5)
+    for beyond in (-1e-6, -1e-12, 0.0, 1e-12):
+        weight = np.array([0.0, 0.0, -5.0, 0.0, -5.0 * (0.05 + beyond), 0.0])
+        for options in METHODS.values():
+            found = optimize_force(tray, weight, **options)
+            assert found.status is Status.OPTIMAL
+            assert found.equilibrium_residual <= BAND * 5.0
+            assert found.force[:, 0].sum() == pytest.approx(5.0, rel=1e-6)
+    for options in METHODS.values():
+        with pytest.raises(InfeasibleWrenchError) as caught:
+            optimize_force(tray, [0.0, 0.0, -5.0, 0.0, -5.0 * (0.05 + 1e-6), 0.0], **options)
+        assert caught.value.solution.certificate @ caught.value.solution.wrench > 0.0
+
+
 @pytest.mark.parametrize("most", [0, 1, 3, 10, 30, 100])
 @pytest.mark.parametrize("name", METHODS)
 def test_the_largest_number_of_steps_holds_at_the_boundary(name: str, most: int) -> None:
