@@ -1,8 +1,7 @@
-"""One side of the benchmark `core`: `python -c <this source> OUT PROBLEMS PASSES BEGIN ROW...` in a
-checkout.
+"""One side of the benchmark `core`, run in a checkout; it writes its rows as lines of JSON.
 
-It imports only numpy and parts of `grasp_env` that both checkouts have, and writes its rows as
-lines of JSON.
+`python -c <this source> OUT PROBLEMS PASSES BEGIN ROW...` imports only numpy and parts of
+`grasp_env` that both checkouts have.
 """
 
 from __future__ import annotations
@@ -12,6 +11,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,11 +19,9 @@ import numpy as np
 WARM_UP = 20
 """Call before the clock starts, for every row."""
 Case = dict[str, Any]
-"""A grasp and its problems: wrenches (n, 6), and points (n, N, 3), normals, wrenches and Jacobians
-(n, N, 3, J) along a smooth path."""
+"""A grasp with wrenches (n, 6), and a smooth path: points (n, N, 3), Jacobians (n, N, 3, J) etc."""
 Answers = tuple[Any, list[float]]
-"""Seconds (n,) of each call, the best of the passes, and the objectives (n,), nan where not
-optimal."""
+"""Least seconds (n,) of each call, and the objectives (n,), nan where not optimal."""
 
 
 def timed(
@@ -31,39 +29,40 @@ def timed(
     call: Any,
     calls: list[Any],
     restart: Callable[[], Any] = lambda: None,
-    wanted: str = "OPTIMAL",
+    expected: str = "OPTIMAL",
 ) -> Answers:
-    """`call(*calls[k])`, a solve with the reading of `.force` and `.status`; a pass begins with
-    `restart()` and an untimed call.
+    """Time `call(*calls[k])`; a solve includes the reading of `.force` and `.status`.
+
+    A pass begins with `restart()` and an untimed call.
     """
     solves = not hasattr(call(*calls[0]), "length")  # or makes a grasp
-    for given in calls[:WARM_UP]:
-        call(*given)
+    for arguments in calls[:WARM_UP]:
+        call(*arguments)
     best = np.full(len(calls), np.inf)
     for _ in range(passes):
         restart()
         call(*calls[0])
-        for k, given in enumerate(calls):
+        for k, arguments in enumerate(calls):
             begin = time.perf_counter_ns()
-            found = call(*given)
+            result = call(*arguments)
             if solves:
-                force, status = found.force, found.status  # noqa: F841
+                force, status = result.force, result.status  # noqa: F841
             best[k] = min(best[k], time.perf_counter_ns() - begin)
     restart()
-    found = [call(*given) for given in calls]
+    results = [call(*arguments) for arguments in calls]
     if not solves:
-        return 1e-9 * best, [grasp.length for grasp in found]
-    values = [solution.objective if wanted == "OPTIMAL" else 1.0 for solution in found]
-    ended = [solution.status.name == wanted for solution in found]
-    return 1e-9 * best, [
-        value if good else np.nan for value, good in zip(values, ended, strict=True)
+        return 1e-9 * best, [grasp.length for grasp in results]
+    values = [
+        np.nan if s.status.name != expected else s.objective if expected == "OPTIMAL" else 1.0
+        for s in results
     ]
+    return 1e-9 * best, values
 
 
 def python(
     case: Case, passes: int, grasp: str = "grasp", wrenches: str = "wrenches", **options: Any
 ) -> Answers:
-    """`ForceOptimizer(grasp, **options).solve(wrench)`."""
+    """Time `ForceOptimizer(grasp, **options).solve(wrench)`."""
     from grasp_env.force import ForceOptimizer
 
     optimizer = ForceOptimizer(case[grasp], **options)
@@ -72,14 +71,12 @@ def python(
 
 
 def compiled(case: Case, passes: int, **options: Any) -> Answers:
-    """The compiled call alone, start and certificate included, timed in C++; its objectives are
-    those from Python.
-    """
+    """Time the compiled call in C++, start and certificate included; objectives are from Python."""
     from grasp_env.force import ForceOptimizer
 
     solver = ForceOptimizer(case["grasp"], **options).core
     loads = case["wrenches"]
-    best = np.empty(len(case["wrenches"]))
+    best = np.empty(len(loads))
     records = np.zeros((len(loads), solver.size))
     solver.times(loads[:WARM_UP], 1, records[:WARM_UP], best[:WARM_UP])
     solver.times(loads, passes, records, best)
@@ -87,17 +84,13 @@ def compiled(case: Case, passes: int, **options: Any) -> Answers:
 
 
 def path_of(case: Case, *more: str) -> list[Any]:
-    """(points, normals, wrench, ...) of each step."""
-    return list(
-        zip(
-            *(case[f"path_{name}"] for name in ("points", "normals", "wrenches", *more)),
-            strict=True,
-        )
-    )
+    """Return (points, normals, wrench, ...) of each step."""
+    names = ("points", "normals", "wrenches", *more)
+    return list(zip(*(case[f"path_{name}"] for name in names), strict=True))
 
 
 def moving(case: Case, passes: int, **options: Any) -> Answers:
-    """Current contacts and wrench into a certified force, from Python, along the path."""
+    """Time `solve` with moving contacts, from Python."""
     from grasp_env.force import ForceOptimizer
 
     optimizer = ForceOptimizer(case["grasp"], method="newton", tolerance=1e-4, **options)
@@ -109,16 +102,14 @@ def moving(case: Case, passes: int, **options: Any) -> Answers:
 
 
 def within_limits(
-    case: Case, passes: int, part: float = 1.0, wanted: str = "OPTIMAL", **options: Any
+    case: Case, passes: int, share: float = 1.0, expected: str = "OPTIMAL", **options: Any
 ) -> Answers:
-    """The same with the current Jacobian (three joints a finger), within a part of the torque
-    limits.
-    """
+    """Time the same with the current Jacobian, within a share of the torque limits."""
     from grasp_env.errors import InfeasibleWrenchError
     from grasp_env.force import ForceLimits, ForceOptimizer
 
     limits = ForceLimits(
-        jacobian=case["path_jacobians"][0], torque_limit=part * case["torque_limit"]
+        jacobian=case["path_jacobians"][0], torque_limit=share * case["torque_limit"]
     )
     optimizer = ForceOptimizer(
         case["grasp"], limits=limits, method="newton", tolerance=1e-4, **options
@@ -135,12 +126,12 @@ def within_limits(
         solve,
         path_of(case, "jacobians"),
         lambda: setattr(optimizer, "previous", None),
-        wanted,
+        expected,
     )
 
 
 def new_contacts(case: Case, passes: int, **options: Any) -> Answers:
-    """`Grasp.from_contacts` and `optimize_force` along the path: nothing is kept between calls."""
+    """Time `Grasp.from_contacts` with `optimize_force` along the path."""
     from grasp_env.force import optimize_force
     from grasp_env.grasp import Grasp
 
@@ -153,36 +144,31 @@ def new_contacts(case: Case, passes: int, **options: Any) -> Answers:
 
 
 def grasps_of(case: Case) -> list[Any]:
-    """The grasps of the path."""
     from grasp_env.grasp import Grasp
 
-    return [
-        Grasp.from_contacts(points, normals, case["friction"])
-        for points, normals, _ in path_of(case)
-    ]
+    contacts = zip(case["path_points"], case["path_normals"], strict=True)
+    return [Grasp.from_contacts(*pair, case["friction"]) for pair in contacts]
 
 
 def batch(case: Case, passes: int, **options: Any) -> Answers:
-    """`optimize_forces` of as many grasps as wrenches, on one core: the mean of a batch is the time
-    of each.
-    """
+    """Time `optimize_forces` of as many grasps as wrenches on one core; a call's is the mean."""
     from grasp_env.force import optimize_forces
 
     best = np.inf
     loads = case["path_wrenches"].copy()
-    found: Any = None
+    result: Any = None
     for _ in range(passes + 1):
         grasps = grasps_of(case)
         begin = time.perf_counter_ns()
-        found = optimize_forces(grasps, loads, workers=1, **options)
+        result = optimize_forces(grasps, loads, workers=1, **options)
         best = min(best, time.perf_counter_ns() - begin)
     return np.full(len(loads), 1e-9 * best / len(loads)), np.where(
-        found.optimal, found.objective, np.nan
+        result.optimal, result.objective, np.nan
     ).tolist()
 
 
 def constructor(case: Case, passes: int, **options: Any) -> Answers:
-    """`ForceOptimizer(grasp, **options)` of new grasps."""
+    """Time `ForceOptimizer(grasp, **options)` of new grasps."""
     from grasp_env.force import ForceOptimizer
 
     best = np.full(len(case["path_points"]), np.inf)
@@ -195,40 +181,39 @@ def constructor(case: Case, passes: int, **options: Any) -> Answers:
     return 1e-9 * best, [1.0] * len(best)
 
 
-def making(case: Case, passes: int, name: str, third: Any) -> Answers:
-    """A constructor of `Grasp` along the path."""
+def new_grasp(case: Case, passes: int, name: str, third: Any) -> Answers:
+    """Time a constructor of `Grasp` along the path."""
     path = zip(case["path_points"], case["path_normals"], strict=True)
-    return timed(
-        passes, getattr(type(case["grasp"]), name), [(*contacts, third) for contacts in path]
-    )
+    calls = [(*contacts, third) for contacts in path]
+    return timed(passes, getattr(type(case["grasp"]), name), calls)
 
 
 ROWS: dict[str, tuple[str, Callable[[Case, int], Answers]]] = {
     "newton": (
         "Newton on Phi to 1e-8, compiled call",
-        lambda *given: compiled(*given, method="newton", tolerance=1e-8),
+        partial(compiled, method="newton", tolerance=1e-8),
     ),
     "newton_python": (
         "the same, ForceOptimizer.solve from Python",
-        lambda *given: python(*given, method="newton", tolerance=1e-8),
+        partial(python, method="newton", tolerance=1e-8),
     ),
     "newton_default": (
         "the same to 1e-4, the default",
-        lambda *given: python(*given, method="newton", tolerance=1e-4),
+        partial(python, method="newton", tolerance=1e-4),
     ),
     "newton_previous": (
         "ForceOptimizer.solve to 1e-8, initial='previous', wrenches on a smooth path",
-        lambda *given: python(
-            *given, wrenches="path_wrenches", method="newton", tolerance=1e-8, initial="previous"
+        partial(
+            python, wrenches="path_wrenches", method="newton", tolerance=1e-8, initial="previous"
         ),
     ),
     "conic": (
         "conic to 1e-6, compiled call",
-        lambda *given: compiled(*given, method="conic", tolerance=1e-6),
+        partial(compiled, method="conic", tolerance=1e-6),
     ),
     "conic_python": (
         "the same, ForceOptimizer.solve from Python",
-        lambda *given: python(*given, method="conic", tolerance=1e-6),
+        partial(python, method="conic", tolerance=1e-6),
     ),
     "moving_newton": (
         "current contacts to certified force by newton to 1e-4, no history, from Python",
@@ -236,7 +221,7 @@ ROWS: dict[str, tuple[str, Callable[[Case, int], Answers]]] = {
     ),
     "moving_newton_previous": (
         "the same from the previous solution",
-        lambda *given: moving(*given, initial="previous"),
+        partial(moving, initial="previous"),
     ),
     "moving_limits": (
         "current contacts and Jacobian within torque limits, newton to 1e-4, from Python",
@@ -244,55 +229,55 @@ ROWS: dict[str, tuple[str, Callable[[Case, int], Answers]]] = {
     ),
     "moving_limits_previous": (
         "the same from the previous solution",
-        lambda *given: within_limits(*given, initial="previous"),
+        partial(within_limits, initial="previous"),
     ),
     "moving_limits_infeasible": (
         "the same where no force keeps the limits, with the error",
-        lambda *given: within_limits(*given, part=0.05, wanted="INFEASIBLE"),
+        partial(within_limits, share=0.05, expected="INFEASIBLE"),
     ),
     "new_contacts_newton": (
         "Grasp.from_contacts and optimize_force, newton to 1e-4",
-        lambda *given: new_contacts(*given, method="newton"),
+        partial(new_contacts, method="newton"),
     ),
     "new_contacts_conic": (
         "the same, conic to 1e-6",
-        lambda *given: new_contacts(*given, method="conic"),
+        partial(new_contacts, method="conic"),
     ),
     "batch_grasps_newton": (
         "optimize_forces of as many grasps as wrenches on one core, newton",
-        lambda *given: batch(*given, method="newton"),
+        partial(batch, method="newton"),
     ),
     "batch_grasps_conic": ("the same, conic", lambda *given: batch(*given, method="conic")),
     "constructor": (
         "ForceOptimizer(grasp, method='newton') of a new grasp",
-        lambda *given: constructor(*given, method="newton"),
+        partial(constructor, method="newton"),
     ),
     "from_contacts": (
         "Grasp.from_contacts",
-        lambda case, passes: making(case, passes, "from_contacts", case["friction"]),
+        lambda case, passes: new_grasp(case, passes, "from_contacts", case["friction"]),
     ),
     "unchecked": (
         "Grasp.unchecked",
-        lambda case, passes: making(case, passes, "unchecked", case["grasp"].models),
+        lambda case, passes: new_grasp(case, passes, "unchecked", case["grasp"].models),
     ),
     "flow": (
         "the paper's flow, ForceOptimizer.solve",
-        lambda *given: python(*given, method="reduced_flow"),
+        partial(python, method="reduced_flow"),
     ),
     "soft": (
         "soft contacts, newton to 1e-4, ForceOptimizer.solve",
-        lambda *given: python(*given, grasp="soft", method="newton", tolerance=1e-4),
+        partial(python, grasp="soft", method="newton", tolerance=1e-4),
     ),
     "max": (
         "least largest normal force, conic to 1e-6, ForceOptimizer.solve",
-        lambda *given: python(*given, method="conic", criterion="max"),
+        partial(python, method="conic", criterion="max"),
     ),
 }
 """Timed calls by label, each a function of a case and the number of passes."""
 
 
 def cases(path: str) -> Iterator[Case]:
-    """The problems that the driver wrote, with the grasps made of them."""
+    """Yield the cases that the driver wrote, with their grasps."""
     from grasp_env.grasp import Grasp
 
     arrays = np.load(path)
@@ -313,42 +298,36 @@ def cases(path: str) -> Iterator[Case]:
 
 
 def jacobians(joints: Any) -> Any:
-    """(n, N, 3, 3 N) of fingers with three joints each, of which only their own (n, N, 3, 3) move
-    them.
-    """
+    """Return (n, N, 3, 3 N) for fingers of three joints each, whose own blocks are (n, N, 3, 3)."""
     steps, count = joints.shape[:2]
-    made = np.zeros((steps, count, 3, count, 3))
+    matrices = np.zeros((steps, count, 3, count, 3))
     for finger in range(count):
-        made[:, finger, :, finger] = joints[:, finger]
-    return made.reshape(steps, count, 3, 3 * count)
+        matrices[:, finger, :, finger] = joints[:, finger]
+    return matrices.reshape(steps, count, 3, 3 * count)
 
 
 def lines(problems: str, passes: int, names: tuple[str, ...]) -> Iterator[dict[str, Any]]:
-    """Return microseconds and objectives of all problems, or the reason why a row cannot be timed."""
-    made = list(cases(problems))
+    """Yield microseconds and objectives of all problems, or why a row cannot be timed."""
+    problem_cases = list(cases(problems))
     for name in names:
         try:
-            found = [ROWS[name][1](case, passes) for case in made]
+            answers = [ROWS[name][1](case, passes) for case in problem_cases]
         except Exception as error:
             yield {"method": name, "reason": f"{type(error).__name__}: {error}"}
             continue
-        seconds, values = (np.concatenate(part) for part in zip(*found, strict=True))
-        for problem, (taken, value) in enumerate(
-            zip(seconds.tolist(), values.tolist(), strict=True)
-        ):
-            objective = value if np.isfinite(value) else None
+        seconds, values = (np.concatenate(arrays) for arrays in zip(*answers, strict=True))
+        for problem, second in enumerate(seconds.tolist()):
+            value = float(values[problem])
             yield {
                 "method": name,
                 "problem": problem,
-                "microseconds": 1e6 * taken,
-                "objective": objective,
+                "microseconds": 1e6 * second,
+                "objective": value if np.isfinite(value) else None,
             }
 
 
 def main(out: str, problems: str, passes: str, begin: str, *names: str) -> None:
-    """Time all rows; report first the imported package and the time of the first solve after
-    `begin` (CLOCK_MONOTONIC [s]).
-    """
+    """Write the package and the time of the first solve since `begin` (CLOCK_MONOTONIC), then rows."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     import grasp_env

@@ -1,6 +1,4 @@
-"""`TrainedAgent`: a saved reinforcement-learning agent as a `Policy`. numpy runs its small
-networks, without torch.
-"""
+"""`TrainedAgent`: a saved reinforcement-learning agent as a `Policy`, run by numpy without torch."""
 
 from __future__ import annotations
 
@@ -25,9 +23,9 @@ NAMES = {
 class TrainedAgent:
     """An agent trained by `grasp rl`: predict(observation of the environment) -> (action, state).
 
-    Observations are normalised with the running means and variances of training, saved in the same
-    folder. The agent requires the extra "sim", but neither torch nor stable-baselines3.
-    `evaluate_policy` of stable-baselines3 accepts it as a model.
+    Observations are normalised with the running means and variances of training. The agent
+    requires the extra "sim", but neither torch nor stable-baselines3, whose `evaluate_policy`
+    accepts it as a model.
 
     Attributes:
         meta: algorithm, action mode, steps, seed, versions, and `env_settings`, the `config` of its
@@ -84,16 +82,12 @@ class TrainedAgent:
             self._deviation = weights["log_std"]
         sizes = [len(self._mean), *(bias.shape[0] for _, bias in (*self._hidden, self._last))]
         shapes = [weight.shape for weight, _ in (*self._hidden, self._last)]
-        if shapes != list(pairwise(sizes)) or (sizes[0], sizes[-1]) != (
-            meta["observation_size"],
-            meta["action_size"],
-        ):
+        ends = meta["observation_size"], meta["action_size"]
+        if shapes != list(pairwise(sizes)) or (sizes[0], sizes[-1]) != ends:
             raise ValueError(
-                f"layers of shapes {shapes} from {meta['observation_size']} to {meta['action_size']} numbers"
+                f"layer shapes {shapes} do not chain from {ends[0]} observations to {ends[1]} actions"
             )
-        if not all(
-            np.isfinite(part).all() for layer in (*self._hidden, self._last) for part in layer
-        ):
+        if not all(np.isfinite(a).all() for layer in (*self._hidden, self._last) for a in layer):
             raise ValueError("weights are not finite")
 
     def __repr__(self) -> str:
@@ -125,8 +119,7 @@ class TrainedAgent:
         episode_start: Any = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], Any]:
-        """Return the action(s) in [-1, 1] for one observation (size,) or several (n, size), and
-        `state`.
+        """Return the action(s) in [-1, 1] for observations (size,) or (n, size), and `state`.
 
         Args:
             observation: observation of the environment.
@@ -137,12 +130,12 @@ class TrainedAgent:
         Raises:
             InvalidInputError: the observation has another size.
         """
-        seen = as_array(observation, None, "observation")
-        if seen.shape[-1:] != self._mean.shape or seen.ndim not in (1, 2):
+        values = as_array(observation, None, "observation")
+        if values.shape[-1:] != self._mean.shape or values.ndim not in (1, 2):
             raise InvalidInputError(
-                f"observation must be ({len(self._mean)},) or (n, {len(self._mean)}), got shape {seen.shape}"
+                f"observation must be ({len(self._mean)},) or (n, {len(self._mean)}), got shape {values.shape}"
             )
-        x = np.clip((seen - self._mean) * self._scale, -self._clip, self._clip).astype(np.float32)
+        x = np.clip((values - self._mean) * self._scale, -self._clip, self._clip).astype(np.float32)
         for weight, bias in self._hidden:
             x = self._activation(x @ weight + bias)
         action = x @ self._last[0] + self._last[1]

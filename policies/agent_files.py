@@ -1,6 +1,4 @@
-"""Files of a reinforcement-learning agent: safetensors, npz and JSON, each with its hash. Nothing
-is pickled or unpickled.
-"""
+"""Files of a reinforcement-learning agent: safetensors, npz and JSON, hashed and never pickled."""
 
 from __future__ import annotations
 
@@ -46,8 +44,7 @@ def write_checkpoint(
         arrays: arrays by file stem, written as `<stem>.npz`.
 
     Raises:
-        ModelFileError: the disk is full or the folder cannot be written; the older checkpoints are
-            kept.
+        ModelFileError: the folder cannot be written; the older checkpoints are kept.
     """
     folder = parent / f"{STEM}{steps:09d}"
     blobs = {
@@ -117,34 +114,34 @@ def read_meta(folder: Path) -> dict[str, Any]:
         raise ModelFileError(
             f"agent {file} acts as {meta.get('action')!r}; known: {', '.join(ACTIONS)}"
         )
-    tips = meta.get("fingers")
+    fingers = meta.get("fingers")
     joints = meta.get("joints")
     if not (
-        isinstance(tips, int)
+        isinstance(fingers, int)
         and isinstance(joints, int)
-        and 0 < tips < LARGEST_HAND
+        and 0 < fingers < LARGEST_HAND
         and 0 < joints < LARGEST_HAND
     ):
         raise ModelFileError(
-            f"agent {file} is for a hand of {tips!r} fingers and {joints!r} joints: {_AGAIN}"
+            f"agent {file} is for a hand of {fingers!r} fingers and {joints!r} joints: {_AGAIN}"
         )
-    shown = len(bounds(tips, joints))
-    needed = action_size(meta["action"], tips)
-    if (meta.get("observation_size"), meta.get("action_size")) != (shown, needed):
+    observed = len(bounds(fingers, joints))
+    acted = action_size(meta["action"], fingers)
+    if (meta.get("observation_size"), meta.get("action_size")) != (observed, acted):
         raise ModelFileError(
-            f"agent {file} goes from {meta.get('observation_size')!r} numbers to {meta.get('action_size')!r}; {ENV_ID} shows {shown} "
-            f"of such a hand and takes {needed}: train anew"
+            f"agent {file} goes from {meta.get('observation_size')!r} numbers to {meta.get('action_size')!r}; {ENV_ID} shows {observed} "
+            f"of such a hand and takes {acted}: train anew"
         )
     return meta
 
 
 def read_tensors(folder: Path, meta: dict[str, Any], stem: str) -> dict[str, np.ndarray]:
-    """Read `<stem>.safetensors`; raise `ModelFileError` if its hash differs."""
+    """Read `<stem>.safetensors`, checked by its hash."""
     return _read(folder / f"{stem}.safetensors", meta, load)
 
 
 def read_arrays(folder: Path, meta: dict[str, Any], stem: str) -> dict[str, np.ndarray]:
-    """Read `<stem>.npz` without objects; raise `ModelFileError` if its hash differs."""
+    """Read `<stem>.npz` without objects, checked by its hash."""
     return _read(folder / f"{stem}.npz", meta, unpacked)
 
 

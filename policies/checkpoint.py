@@ -1,9 +1,7 @@
 """Saved models: `<name>.safetensors` (weights) and `<name>.json` (description).
 
-Nothing is unpickled.
-
-A file may come from an untrusted source: sizes and numbers are checked before anything is
-allocated.
+A file may come from an untrusted source: nothing is unpickled, and sizes and numbers are checked
+before anything is allocated.
 """
 
 from __future__ import annotations
@@ -54,11 +52,9 @@ class Checkpoint:
             "ranges": ranges,
             "card": self.card,
         }
-        text = (
-            json.dumps({**body, "sha256": signature(body)}, indent=2, allow_nan=False) + "\n"
-        ).encode()
+        text = json.dumps({**body, "sha256": signature(body)}, indent=2, allow_nan=False) + "\n"
         replace(_file(stem, ".safetensors"), blob)
-        replace(_file(stem, ".json"), text)
+        replace(_file(stem, ".json"), text.encode())
         return _file(stem, ".safetensors")
 
     @classmethod
@@ -82,33 +78,26 @@ class Checkpoint:
                 raise ModelFileError(
                     f"model weights {file} do not match the sha256 in their .json: the file is truncated or was changed; {_AGAIN}"
                 )
-            made = load(blob)
-            for name, value in made.items():
+            arrays = load(blob)
+            for name, value in arrays.items():
                 if (
                     value.dtype not in (np.float32, np.float64)
                     or not (np.abs(value) <= np.finfo(np.float32).max).all()
                 ):
                     raise ValueError(f"tensor {name[:40]!r} is not finite in float32")
-            return made
+            return arrays
 
         def rest(meta: dict[str, Any]) -> tuple[Any, ...]:
             ranges = {name: (low, high) for name, (low, high) in meta["ranges"].items()}
             return dict(meta["numbers"]), ranges, dict(meta["card"])
 
         hint = f"; {_AGAIN}"
-        found = parsed(
-            file,
-            tensors,
-            ModelFileError,
-            f"model weights {file}",
-            "a file of weights",
-            hint,
-            MOST_WEIGHTS,
+        what = f"model weights {file}"
+        arrays = parsed(
+            file, tensors, ModelFileError, what, "a file of weights", hint, MOST_WEIGHTS
         )
-        return cls(
-            found,
-            *understood(meta, rest, ModelFileError, f"model description {about}", "complete", hint),
-        )
+        what = f"model description {about}"
+        return cls(arrays, *understood(meta, rest, ModelFileError, what, "complete", hint))
 
     def expect(self, shapes: dict[str, tuple[int, ...]]) -> None:
         """Raise `ModelFileError` unless the tensors have exactly these names and shapes."""
@@ -141,9 +130,9 @@ def described(file: Path, schema: str, what: str, command: str, most: int = TEXT
 
     def read(blob: bytes) -> dict[str, Any]:
         meta = json.loads(blob.decode())
-        found = meta.get("schema") if isinstance(meta, dict) else None
-        if found != schema:
-            fault = f"has schema {shown(found)}, this version reads {schema!r}: train anew with `{command}`"
+        stored = meta.get("schema") if isinstance(meta, dict) else None
+        if stored != schema:
+            fault = f"has schema {shown(stored)}, this version reads {schema!r}: train anew with `{command}`"
             raise ModelFileError(f"{what} {file} {fault}")
         if meta.pop("sha256", None) != signature(meta):  # which refuses nan
             raise ModelFileError(

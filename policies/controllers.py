@@ -1,6 +1,4 @@
-"""Controllers with stable-baselines3's `predict`, so that one evaluator scores the paper, a learned
-start and an agent.
-"""
+"""Controllers with stable-baselines3's `predict`, so that one evaluator scores all of them."""
 
 from __future__ import annotations
 
@@ -31,8 +29,7 @@ class Policy(Protocol):
 
 
 class ZeroPolicy:
-    """Policy without adjustment of the initial force: the environment's start rule, by default the
-    paper's.
+    """Policy that leaves the initial force to the environment's start rule, by default the paper's.
 
     Args:
         action_size: size of an action, `env.action_space.shape[0]`.

@@ -6,9 +6,8 @@ wrench, but not near zero: below about `floor` newtons the optimal squeeze at ze
 So the wrench is divided by m = sqrt(|w|^2 + floor^2), log m is a feature, and the network's output
 is multiplied by m.
 
-Friction cones bound the tangential magnitude of each force. A perceptron approximates the magnitude
-of a vector badly from its components. So the magnitudes of M vectors that are linear in the wrench
-are features, too; see `surface_pairs`.
+Friction cones bound tangential magnitudes, which a perceptron approximates badly from components.
+So the magnitudes of M vectors that are linear in the wrench are features, too; see `surface_pairs`.
 """
 
 from __future__ import annotations
@@ -58,11 +57,11 @@ class Features:
 
 
 def surface_pairs(grasp: Grasp, objective: Objective) -> Array:
-    """Return (4 N, 6) maps from a wrench (unit frame) to the tangential parts of two balancing
-    forces: all along o, then all along t.
+    """Return (4 N, 6) maps from a wrench (unit frame) to tangential components of two forces.
 
-    The two forces are linear in the wrench: the least-norm force, and the first-order change of the
-    optimum at zero wrench, in cone coordinates.
+    The rows along o come first, then those along t. Both forces balance the wrench and are linear
+    in it: the least-norm force, and the first-order change of the optimum at zero wrench, in cone
+    coordinates.
 
     Args:
         grasp: contacts, with the friction of that optimum.
@@ -73,13 +72,14 @@ def surface_pairs(grasp: Grasp, objective: Objective) -> Array:
     optimum = optimize_force(grasp, np.zeros(6), force_weight=omega, barrier_weight=lambda_)
     inverse = np.zeros((3 * grasp.n_contacts, 3 * grasp.n_contacts))
     for i, block in enumerate(objective.hessian(grasp.to_cone(optimum.force))):
-        inverse[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = np.linalg.inv(block)
-    rows = grasp.unit_frame @ grasp.cone_matrix
+        rows = slice(3 * i, 3 * i + 3)
+        inverse[rows, rows] = np.linalg.inv(block)
+    matrix = grasp.unit_frame @ grasp.cone_matrix
     least = (
         grasp.models.cone_scale.reshape(-1, 1)
         * grasp.pseudoinverse
         @ np.linalg.inv(grasp.unit_frame)
     )
-    change = inverse @ rows.T @ np.linalg.inv(rows @ inverse @ rows.T)
+    change = inverse @ matrix.T @ np.linalg.inv(matrix @ inverse @ matrix.T)
     both = np.concatenate([least, change]).reshape(-1, 3, 6)
     return np.concatenate([both[:, 1], both[:, 2]])

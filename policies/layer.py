@@ -1,9 +1,8 @@
-"""Optimal grasp forces as a layer of a torch model, with gradients with respect to all inputs.
+"""Optimal grasp forces as a layer of a torch model, with gradients for all inputs.
 
 The optimal force is a smooth function of contacts, friction, wrench, limits and weights. Its
 gradient costs one linear solve with the matrix of the last Newton step (implicit differentiation).
-The compiled core computes both on the CPU. Tensors on another device are copied there, and the
-results are copied back.
+The compiled core computes both on the CPU: tensors on another device are copied there and back.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ with need("layer"):
 
 Given: TypeAlias = "Tensor | float"
 _SOLVED_ON = ("cpu", "meta")
-"""Types of devices whose tensors are not copied; tensors on `meta` have shapes only."""
+"""Devices whose tensors are not copied; tensors on `meta` have shapes only."""
 
 
 class GraspForces(NamedTuple):
@@ -88,16 +87,14 @@ def grasp_force(
     max_iterations: int = 200,
     chunk: int = 512,
 ) -> GraspForces:
-    """Return the force of least Phi that balances each wrench, differentiable with respect to all
-    tensors but `start`.
+    """Return the force of least Phi that balances each wrench, with gradients.
 
-    Leading dimensions broadcast. All vectors are given in one frame of the caller's choice, and
-    forces are returned in it. The result of an element does not depend on other elements: it has
-    the same bits as in a batch of one.
+    Leading dimensions broadcast. All vectors, results included, are in one frame of the caller's
+    choice. The result of an element has the same bits as in a batch of one.
 
     Outputs have the promoted dtype of all inputs that are not 0-d, but at least float32. A number
-    or a 0-d tensor holds for all contacts or joints. All tensors are on one device, and outputs and
-    gradients are on it too.
+    or a 0-d tensor holds for all contacts or joints. All tensors are on one device, as are outputs
+    and gradients.
 
     Tangential components are along o and t. o is the projection of `tangents` on the tangent plane,
     and t = normal x o.
@@ -148,7 +145,7 @@ def grasp_force(
         >>> friction.grad < 0                                                            # more friction, less force
         tensor(True)
     """
-    given = (
+    inputs = (
         positions,
         normals,
         friction,
@@ -164,23 +161,27 @@ def grasp_force(
         barrier_weight,
         start,
     )
-    return _forces(given, checked_settings(infeasible, tolerance, max_iterations, chunk))
+    return _forces(inputs, checked_settings(infeasible, tolerance, max_iterations, chunk))
 
 
-def _forces(given: Sequence[Any], settings: tuple[str, float, int, int]) -> GraspForces:
-    """Return the forces for the inputs in the order of `layer_inputs.NAMES`."""
-    problems = read_in_place(given)
+def _forces(inputs: Sequence[Any], settings: tuple[str, float, int, int]) -> GraspForces:
+    """Return the forces; `inputs` are in the order of `layer_inputs.NAMES`."""
+    problems = read_in_place(inputs)
     if problems is None:
-        device = common_device(given)
+        device = common_device(inputs)
         if device.type not in _SOLVED_ON:
-            found = _forces([a.to("cpu") if isinstance(a, Tensor) else a for a in given], settings)
-            return GraspForces(*[a.to(device) for a in found])
-        tensors, dtype = checked_tensors(given)
+            forces = _forces(
+                [a.to("cpu") if isinstance(a, Tensor) else a for a in inputs], settings
+            )
+            return GraspForces(*[a.to(device) for a in forces])
+        tensors, dtype = checked_tensors(inputs)
         force, torsion, multipliers, facts, _ = solve(*tensors, *settings)
     else:  # fast path: the core reads the inputs without a copy
         dtype = torch.float32 if problems.float32 else torch.float64
-        if torch.is_grad_enabled() and any(a.requires_grad for a in given if isinstance(a, Tensor)):
-            answers = InPlace.apply(problems, settings, *given)
+        if torch.is_grad_enabled() and any(
+            a.requires_grad for a in inputs if isinstance(a, Tensor)
+        ):
+            answers = InPlace.apply(problems, settings, *inputs)
         else:
             answers = optima(problems, *settings[1:])
         force, torsion, multipliers, facts = answers[:4]
@@ -198,11 +199,9 @@ def _forces(given: Sequence[Any], settings: tuple[str, float, int, int]) -> Gras
 
 
 class GraspForceLayer(nn.Module):
-    """`grasp_force` as a module that holds the settings.
+    """`grasp_force` as a module that holds the settings; it has no parameters.
 
     `forward` takes the tensors under the same names.
-
-    It has no parameters. Copies, pickles and workers of a DataLoader carry only the settings.
 
     Args:
         infeasible, tolerance, max_iterations, chunk: see `grasp_force`.

@@ -33,10 +33,7 @@ RANKS = {
     "barrier_weight": 1,
     "start": 2,
 }
-"""Number of trailing dimensions of each tensor that belong to one problem.
-
-The dimensions before them are the batch.
-"""
+"""Number of trailing dimensions of each tensor that belong to one problem, not to the batch."""
 NAMES = tuple(RANKS)
 NEEDED = ("positions", "normals", "friction", "wrench", "force_weight", "barrier_weight")
 INPUTS = len(NAMES) - 1
@@ -77,12 +74,10 @@ def tails_of(count: int, rows: int, joints: int) -> tuple[tuple[int, ...], ...]:
     return n3, n3, (count, 2), n3, n, (6,), (count, rows, joints), j, j, n, n, n, n, n3
 
 
-def checked_tensors(given: Sequence[Any]) -> tuple[list[Tensor | None], torch.dtype]:
-    """Return the inputs as tensors, each with the trailing dimensions of one problem, and the dtype
-    of the results.
-    """
-    positions = given[0]
-    jacobian = given[6]
+def checked_tensors(inputs: Sequence[Any]) -> tuple[list[Tensor | None], torch.dtype]:
+    """Return the inputs as tensors with their full trailing dimensions, and the results' dtype."""
+    positions = inputs[0]
+    jacobian = inputs[6]
     if (
         not isinstance(positions, Tensor)
         or positions.ndim < 2
@@ -99,14 +94,14 @@ def checked_tensors(given: Sequence[Any]) -> tuple[list[Tensor | None], torch.dt
             _refuse("jacobian", jacobian, f"a tensor (..., N, 3 or 6, J) of 1 to {JOINTS} joints")
         rows = 6 if jacobian.shape[-2] == 6 else 3
         joints = jacobian.shape[-1]
-    if (jacobian is None) != (given[7] is None) or (jacobian is None and given[8] is not None):
+    if (jacobian is None) != (inputs[7] is None) or (jacobian is None and inputs[8] is not None):
         raise InvalidInputError(
             "torque limits need jacobian and torque_limit together; torque_bias belongs to them"
         )
-    n = positions.shape[-2:-1]
+    contacts = positions.shape[-2:-1]
     dtype = torch.float32
     out: list[Tensor | None] = []
-    for a, tail, name in zip(given, tails_of(n[0], rows, joints), NAMES, strict=True):
+    for a, tail, name in zip(inputs, tails_of(contacts[0], rows, joints), NAMES, strict=True):
         if a is None:
             if name in NEEDED:
                 _refuse(name, a, "given")
@@ -125,7 +120,7 @@ def checked_tensors(given: Sequence[Any]) -> tuple[list[Tensor | None], torch.dt
             if a.shape[-len(tail) :] != tail:
                 if a.ndim == 0 and name in SCALARS:
                     a = a.expand(tail)
-                elif name == "friction" and a.shape[-1:] == n:
+                elif name == "friction" and a.shape[-1:] == contacts:
                     a = a.unsqueeze(-1).expand(*a.shape, 2)
                 else:
                     _refuse(name, a, f"of shape (..., {', '.join(map(str, tail))})")
@@ -133,19 +128,19 @@ def checked_tensors(given: Sequence[Any]) -> tuple[list[Tensor | None], torch.dt
     return out, dtype
 
 
-def _refuse(name: str, given: Any, wanted: str) -> NoReturn:
+def _refuse(name: str, value: Any, expected: str) -> NoReturn:
     shape = (
-        f" of shape {tuple(given.shape)}"
-        if isinstance(given, Tensor) and given.numel() <= 36
+        f" of shape {tuple(value.shape)}"
+        if isinstance(value, Tensor) and value.numel() <= 36
         else ""
     )
-    raise InvalidInputError(f"{name} must be {wanted}, got {shown(given)}{shape}")
+    raise InvalidInputError(f"{name} must be {expected}, got {shown(value)}{shape}")
 
 
-def common_device(given: Sequence[Any]) -> torch.device:
+def common_device(inputs: Sequence[Any]) -> torch.device:
     """Return the device of all tensors."""
-    device = getattr(given[0], "device", torch.device("cpu"))
-    for a, name in zip(given, NAMES, strict=True):
+    device = getattr(inputs[0], "device", torch.device("cpu"))
+    for a, name in zip(inputs, NAMES, strict=True):
         if isinstance(a, Tensor) and a.device != device:
             devices = f"positions on {device} and {name} on {a.device}"
             raise InvalidInputError(f"all tensors must be on one device, got {devices}")

@@ -1,9 +1,7 @@
-"""The compiled core as operators of torch, with their rules for autograd, `torch.func` and
-`torch.compile`.
+"""The compiled core as torch operators, for autograd, `torch.func` and `torch.compile`.
 
-The core solves and differentiates in vector registers, on `torch.get_num_threads()` threads. All
-internal numbers are float64. Tensors are on the CPU, their leading dimensions broadcast, and
-gradients have the shapes of the inputs.
+The core runs on `torch.get_num_threads()` threads, in float64. Tensors are on the CPU, their
+leading dimensions broadcast, and gradients have the shapes of the inputs.
 """
 
 from __future__ import annotations
@@ -52,10 +50,8 @@ _PLAIN = (Tensor, nn.Parameter)  # no derived classes
 # --- the core
 
 
-def read_in_place(given: Sequence[Any]) -> core.ForceProblems | None:
-    """Return the problems if the core can read the inputs where they are; None if torch's operators
-    must convert them.
-    """
+def read_in_place(inputs: Sequence[Any]) -> core.ForceProblems | None:
+    """Return the problems if the core can read the inputs in place, else None."""
     if (
         torch.compiler.is_compiling()
         or torch._C._are_functorch_transforms_active()
@@ -63,17 +59,17 @@ def read_in_place(given: Sequence[Any]) -> core.ForceProblems | None:
         or forward_ad._current_level >= 0
     ):
         return None
-    for a in given:
+    for a in inputs:
         if type(a) in _PLAIN:
             if a.is_neg():
                 return None
         elif a is not None and type(a) not in (float, int):
             return None
-    return core.ForceProblems.of(tuple(given), CONTACTS, JOINTS)
+    return core.ForceProblems.of(tuple(inputs), CONTACTS, JOINTS)
 
 
 def _read(tensors: Sequence[Tensor | None]) -> core.ForceProblems:
-    """Return the problems of an operator's tensors, whose trailing dimensions have been checked."""
+    """Return the problems of an operator's checked tensors."""
     arrays = [a if a is None else _array(a, (torch.float64, torch.float32)) for a in tensors]
     problems = core.ForceProblems.of(tuple(arrays), CONTACTS, JOINTS)
     if problems is None:
@@ -85,18 +81,18 @@ def _read(tensors: Sequence[Tensor | None]) -> core.ForceProblems:
 
 
 def _array(a: Tensor, types: Sequence[torch.dtype] = (torch.float64,)) -> Any:
-    """Return the array of a tensor, converted to float64 unless it has one of these types."""
+    """Return a tensor as an array, converted to float64 unless it has one of these types."""
     return (a if a.dtype in types else a.to(torch.float64)).detach().resolve_neg().numpy()
 
 
 def optima(
     problems: core.ForceProblems, tolerance: float, max_iterations: int, chunk: int
 ) -> Solved:
-    """Return the results of all problems."""
+    """Solve all problems."""
     arrays = tuple([np.empty((*problems.lead, *tail)) for tail in _result_tails(problems.contacts)])
 
-    def work(part: slice) -> None:
-        problems.solve((part.start, part.stop), (tolerance, max_iterations), arrays)
+    def work(block: slice) -> None:
+        problems.solve((block.start, block.stop), (tolerance, max_iterations), arrays)
 
     over_parts(work, problems.size, chunk, torch.get_num_threads())
     return tuple([torch.from_numpy(a) for a in arrays])  # type: ignore[return-value]
@@ -107,36 +103,34 @@ def _result_tails(count: int) -> tuple[tuple[int, ...], ...]:
     return (count, 3), (count,), (6,), (core.LAYER_FACTS,), (core.layer_state_size(count),)
 
 
-def _slopes(
+def _differentiate(
     problems: core.ForceProblems,
     state: Tensor,
     losses: Sequence[Tensor | None],
-    wanted: Sequence[bool],
+    needed: Sequence[bool],
     elastic: bool,
     chunk: int,
 ) -> list[Tensor | None]:
-    """Return gradients with respect to the inputs, with the leading dimensions of the problems."""
+    """Return the needed gradients, with the leading dimensions of the problems."""
     tails = tails_of(problems.contacts, problems.jacobian_rows, problems.joints)
     arrays = tuple(
         [
             np.empty((*problems.lead, *tail)) if w else None
-            for w, tail in zip(wanted, tails, strict=False)
+            for w, tail in zip(needed, tails, strict=False)
         ]
     )
-    at = _array(state.contiguous())
-    slopes = tuple([a if a is None else _array(a.contiguous()) for a in losses])
+    state_array = _array(state.contiguous())
+    loss_arrays = tuple([a if a is None else _array(a.contiguous()) for a in losses])
 
-    def work(part: slice) -> None:
-        problems.differentiate((part.start, part.stop), at, slopes, elastic, arrays)
+    def work(block: slice) -> None:
+        problems.differentiate((block.start, block.stop), state_array, loss_arrays, elastic, arrays)
 
     over_parts(work, problems.size, chunk, torch.get_num_threads())
     return [a if a is None else torch.from_numpy(a) for a in arrays]
 
 
-def _as_given(gradient: Tensor, like: Tensor) -> Tensor:
-    """Return the gradient (lead, ...) in the shape and type of the input, summed over broadcast
-    dimensions.
-    """
+def _as_input(gradient: Tensor, like: Tensor) -> Tensor:
+    """Return a gradient in the shape and type of its input, summed over broadcast dimensions."""
     if gradient.shape != like.shape:
         gradient = gradient.sum_to_size(like.shape)
     return gradient if gradient.dtype is like.dtype else gradient.to(like.dtype)
@@ -145,18 +139,18 @@ def _as_given(gradient: Tensor, like: Tensor) -> Tensor:
 def raise_for(status: Tensor, lead: Sequence[int]) -> None:
     """Raise an error that names the elements without an optimum, if there are any."""
     status = status.reshape(-1)
-    lost = status > record.STALLED
-    places = lost.reshape(lead).nonzero().tolist()
-    if not places:
+    failed = status > record.STALLED
+    indices = failed.reshape(lead).nonzero().tolist()
+    if not indices:
         return
     failures = [
         f"{k[0] if len(k) == 1 else tuple(k) or 'the only one'}: {STATUS[int(code)]}"
-        for k, code in zip(places[:5], status[lost][:5], strict=True)
+        for k, code in zip(indices[:5], status[failed][:5], strict=True)
     ]
-    if len(places) > 5:
-        failures.append(f"and {len(places) - 5} more")
+    if len(indices) > 5:
+        failures.append(f"and {len(indices) - 5} more")
     raise InfeasibleWrenchError(
-        f"{len(places)} of {len(status)} elements have no optimal force ({', '.join(failures)}): "
+        f"{len(indices)} of {len(status)} elements have no optimal force ({', '.join(failures)}): "
         "infeasible='mask' gives them the nearest force without a gradient, 'elastic' with one"
     )
 
@@ -177,34 +171,33 @@ def _solve_impl(*args: Any) -> Solved:
 def _solve_fake(*args: Any) -> Solved:
     lead = common_lead(args[:_TENSORS])
     like = args[0]
-    made = [
-        like.new_empty((*lead, *tail), dtype=torch.float64)
-        for tail in _result_tails(like.shape[-2])
-    ]
-    return tuple(made)  # type: ignore[return-value]
+    tails = _result_tails(like.shape[-2])
+    return tuple([like.new_empty((*lead, *tail), dtype=torch.float64) for tail in tails])  # type: ignore[return-value]
 
 
 def _gradients_impl(*args: Any) -> list[Tensor]:
     tensors = args[:INPUTS]
     (state, *losses) = args[INPUTS:-3]
-    (wanted, elastic, chunk) = args[-3:]
+    (needed, elastic, chunk) = args[-3:]
     if not state.numel():
-        return [a.new_zeros(a.shape) for a, w in zip(tensors, wanted, strict=True) if w]
+        return [a.new_zeros(a.shape) for a, w in zip(tensors, needed, strict=True) if w]
     # the start may have had more dimensions
     positions = tensors[0].expand(*state.shape[:-1], *tensors[0].shape[-2:])
-    found = _slopes(_read([positions, *tensors[1:]]), state, losses, wanted, elastic, chunk)
-    return [_as_given(g, a) for g, a in zip(found, tensors, strict=True) if g is not None]
+    gradients = _differentiate(
+        _read([positions, *tensors[1:]]), state, losses, needed, elastic, chunk
+    )
+    return [_as_input(g, a) for g, a in zip(gradients, tensors, strict=True) if g is not None]
 
 
 def _gradients_fake(*args: Any) -> list[Tensor]:
-    wanted = [a for a, w in zip(args, args[INPUTS + 4], strict=False) if w]
-    return [torch.empty_like(a, memory_format=torch.contiguous_format) for a in wanted]
+    needed = [a for a, w in zip(args, args[INPUTS + 4], strict=False) if w]
+    return [torch.empty_like(a, memory_format=torch.contiguous_format) for a in needed]
 
 
 def _in_front(
     args: Sequence[Any], dims: Sequence[Any], ranks: Sequence[int], size: int
 ) -> list[Any]:
-    """Return tensors with the dimension of `vmap` in front, and equally many leading dimensions."""
+    """Move the dimension of `vmap` to the front and pad all tensors to equal leading dimensions."""
     rank = max(
         a.ndim - (d is not None) - r
         for a, d, r in zip(args, dims, ranks, strict=True)
@@ -229,11 +222,17 @@ def _gradients_vmap(info: Any, in_dims: Any, *args: Any) -> tuple[Any, Any]:
     ranks = [*RANKS.values()][:INPUTS]
     ranks += [1, 2, 1, 1]  # the state, and the gradients by force, torsion and multipliers
     tensors = _in_front(args[:last], in_dims[:last], ranks, info.batch_size)
-    found = _gradients(*tensors, *args[last:])
-    wanted = [(a, d) for a, d, w in zip(args, in_dims, args[last], strict=False) if w]
-    shapes = [a.shape if d is None else a.movedim(d, 0).shape[1:] for a, d in wanted]
-    made = [g.reshape(info.batch_size, *shape) for g, shape in zip(found, shapes, strict=True)]
-    return (tuple(made), (0,) * len(made)) if isinstance(found, tuple) else (made, [0] * len(made))
+    gradients = _gradients(*tensors, *args[last:])
+    needed = [(a, d) for a, d, w in zip(args, in_dims, args[last], strict=False) if w]
+    shapes = [a.shape if d is None else a.movedim(d, 0).shape[1:] for a, d in needed]
+    shaped = [
+        g.reshape(info.batch_size, *shape) for g, shape in zip(gradients, shapes, strict=True)
+    ]
+    return (
+        (tuple(shaped), (0,) * len(shaped))
+        if isinstance(gradients, tuple)
+        else (shaped, [0] * len(shaped))
+    )
 
 
 def _setup(ctx: Any, inputs: Any, output: Any) -> None:
@@ -246,20 +245,16 @@ def _setup(ctx: Any, inputs: Any, output: Any) -> None:
 
 def _backward(ctx: Any, *losses: Any) -> tuple[Any, ...]:
     *tensors, state = ctx.saved_tensors
-    wanted = [
-        a is not None and needed for a, needed in zip(tensors, ctx.needs_input_grad, strict=False)
-    ]
-    return (*_wanted(ctx, tensors, state, losses, wanted), None, None, None, None, None)
+    needed = [a is not None and n for a, n in zip(tensors, ctx.needs_input_grad, strict=False)]
+    return (*_needed_gradients(ctx, tensors, state, losses, needed), None, None, None, None, None)
 
 
-def _wanted(
-    ctx: Any, tensors: Any, state: Tensor, losses: Any, wanted: list[bool]
+def _needed_gradients(
+    ctx: Any, tensors: Any, state: Tensor, losses: Any, needed: list[bool]
 ) -> list[Tensor | None]:
-    """Return gradients with respect to the wanted inputs by the operator, which refuses a second
-    differentiation.
-    """
-    found = iter(_gradients(*tensors, state, *losses[:3], wanted, ctx.elastic, ctx.chunk))
-    return [next(found) if w else None for w in wanted]
+    """Differentiate by the operator, which refuses a second differentiation."""
+    gradients = iter(_gradients(*tensors, state, *losses[:3], needed, ctx.elastic, ctx.chunk))
+    return [next(gradients) if w else None for w in needed]
 
 
 def _no_second(ctx: Any, *_: Any) -> NoReturn:
@@ -281,7 +276,7 @@ GRADIENTS = torch.library.custom_op(
     _gradients_impl,
     mutates_args=(),
     schema=f"({_ARGUMENTS}, Tensor state, Tensor? d_force, Tensor? d_torsion, Tensor? d_multipliers,"
-    " bool[] wanted, bool elastic, int chunk) -> Tensor[]",
+    " bool[] needed, bool elastic, int chunk) -> Tensor[]",
 )
 SOLVE.register_fake(_solve_fake)
 SOLVE.register_vmap(_solve_vmap)
@@ -292,7 +287,7 @@ GRADIENTS.register_autograd(_no_second)
 
 
 def solve(*args: Any) -> Solved:
-    """Solve by the operator; `args` are its arguments."""
+    """Solve; `args` are the operator's arguments."""
     return _call(SOLVE, _SolveFunction, *args)
 
 
@@ -301,12 +296,10 @@ def _gradients(*args: Any) -> Any:
 
 
 def _call(operator: Any, function: Any, *args: Any) -> Any:
-    """Call an operator.
+    """Call an operator, or in eager code that differentiates its autograd function.
 
-    Eager code that differentiates calls the autograd function with the same rules instead.
-
-    The function costs a fifth of the operator's own autograd kernel, and `torch.func.grad` supports
-    it alone.
+    The function costs a fifth of the operator's own autograd kernel, and `torch.func.grad` requires
+    it.
     """
     # an autograd function refuses forward mode
     differentiated = torch.is_grad_enabled() or forward_ad._current_level >= 0
@@ -330,19 +323,17 @@ class _GradientsFunction(torch.autograd.Function):
 
 
 class InPlace(torch.autograd.Function):
-    """The fast path: forces of inputs that the core reads in place, without the overhead of
-    operators and `torch.func`.
-    """
+    """The fast path for inputs that the core reads in place, without the cost of operators."""
 
     @staticmethod
     def forward(
-        ctx: Any, problems: core.ForceProblems, settings: tuple[Any, ...], *given: Any
+        ctx: Any, problems: core.ForceProblems, settings: tuple[Any, ...], *inputs: Any
     ) -> Any:
         """Return force, torsion, multipliers and facts."""
         *answers, state = optima(problems, *settings[1:])
-        tensors = [a if isinstance(a, Tensor) else None for a in given[:INPUTS]]
+        tensors = [a if isinstance(a, Tensor) else None for a in inputs[:INPUTS]]
         ctx.save_for_backward(*tensors, state)
-        ctx.numbers = [None if isinstance(a, Tensor) else a for a in given[:INPUTS]]
+        ctx.numbers = [None if isinstance(a, Tensor) else a for a in inputs[:INPUTS]]
         ctx.elastic = settings[0] == "elastic"
         ctx.chunk = settings[3]
         ctx.set_materialize_grads(False)
@@ -353,21 +344,21 @@ class InPlace(torch.autograd.Function):
     def backward(ctx: Any, *losses: Any) -> Any:
         """Return the gradients with respect to the arguments of `forward`."""
         *tensors, state = ctx.saved_tensors
-        given = tuple([b if a is None else a for a, b in zip(tensors, ctx.numbers, strict=True)])
-        wanted = ctx.needs_input_grad[2 : 2 + INPUTS]
-        problems = None if torch.is_grad_enabled() else read_in_place(given)
+        inputs = tuple([b if a is None else a for a, b in zip(tensors, ctx.numbers, strict=True)])
+        needed = ctx.needs_input_grad[2 : 2 + INPUTS]
+        problems = None if torch.is_grad_enabled() else read_in_place(inputs)
         # the start may have had more dimensions
         if problems is None or problems.lead != state.shape[:-1]:
-            known, _ = checked_tensors((*given, None))
-            found = _wanted(ctx, known[:-1], state, losses, list(wanted))
+            checked, _ = checked_tensors((*inputs, None))
+            gradients = _needed_gradients(ctx, checked[:-1], state, losses, list(needed))
         else:
-            found = _slopes(problems, state, losses[:3], wanted, ctx.elastic, ctx.chunk)
+            gradients = _differentiate(problems, state, losses[:3], needed, ctx.elastic, ctx.chunk)
         # one coefficient per contact
-        if found[2] is not None and found[2].shape[-2:] != given[2].shape[-2:]:
-            found[2] = found[2].sum(-1)
+        if gradients[2] is not None and gradients[2].shape[-2:] != inputs[2].shape[-2:]:
+            gradients[2] = gradients[2].sum(-1)
         return (
             None,
             None,
-            *[g if g is None else _as_given(g, a) for g, a in zip(found, given, strict=True)],
+            *[g if g is None else _as_input(g, a) for g, a in zip(gradients, inputs, strict=True)],
             None,
         )

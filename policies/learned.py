@@ -1,6 +1,4 @@
-"""`LearnedInitialForce`: a start predicted by a network, whose Phi is never above that of the
-method's own start.
-"""
+"""`LearnedInitialForce`: a start predicted by a network, never worse than the method's own start."""
 
 from __future__ import annotations
 
@@ -37,8 +35,7 @@ from policies.features import Features
 
 PRETRAINED = Path(__file__).parent / "pretrained"
 MOST_CONTACTS, MOST_DEGREE = 64, 8
-"""Largest number of contacts of a model, and largest degree of its weights as polynomials of the
-friction."""
+"""Largest number of contacts of a model, and largest degree of its polynomials of the friction."""
 _ANY = Range(-1e15, 1e15)
 _POSITIVE = Range(1e-300, 1e15)
 
@@ -46,19 +43,17 @@ _POSITIVE = Range(1e-300, 1e15)
 class LearnedInitialForce:
     """Initial-force rule: rule(grasp, wrench) -> (N, 3) force [N], balanced and strictly feasible.
 
-    A network trained on one grasp predicts internal forces from the wrench and the friction. It
-    also works after small movements of the contacts, because its internal forces change
-    continuously with them.
+    A network trained on one grasp predicts internal forces from the wrench and the friction. They
+    change continuously with the contacts, so it also works after small movements.
 
     Let a be the network's force. Let b be the method's own start: Newton's internal force, or the
-    combination of the 12-basis for the flows and for a direct call of the rule. The start is a, if
-    its Phi is not above that of b. Otherwise it is the point of least Phi on the segment from b to
-    a. Both are evaluated in every call, so the start never has more Phi than b, at any wrench and
-    for any weights. Optimizers continue from the start in the same compiled call and certify the
-    solution.
+    combination of the 12-basis for the flows and for a direct call of the rule. The start is a if
+    its Phi is not above that of b, else the point of least Phi on the segment from b to a. So it
+    never has more Phi than b, at any wrench and for any weights. Optimizers continue from it in the
+    same compiled call and certify the solution.
 
-    The weights may be polynomials of the friction (`friction_degree` above 0). They are evaluated
-    once for a grasp, because a grasp keeps its friction between calls.
+    The weights may be polynomials of the friction (`friction_degree` above 0), evaluated once per
+    grasp.
 
     Args:
         checkpoint: weights, normalisation, training range and model card.
@@ -109,9 +104,9 @@ class LearnedInitialForce:
             if n_lengths < 1 or self.sizes[-1] != outputs:
                 raise ValueError(f"sizes {self.sizes} for {self.n_contacts} contacts")
         except (KeyError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
-            said = f"{type(error).__name__}: {error}"[:200]
+            fault = f"{type(error).__name__}: {error}"[:200]
             raise ModelFileError(
-                f"the model is incomplete or malformed ({said}); train anew with `grasp fit`"
+                f"the model is incomplete or malformed ({fault}); train anew with `grasp fit`"
             ) from None
         shapes: dict[str, tuple[int, ...]] = {
             "reference": (3 * self.n_contacts, outputs),
@@ -130,7 +125,7 @@ class LearnedInitialForce:
         self._reference = checkpoint.tensors["reference"].astype(np.float64)
         pairs = checkpoint.tensors["pairs"].astype(np.float64).T
         self._pairs = core.Network.make(pairs.shape, np.append(pairs, np.zeros(2 * n_lengths)))
-        self._made: tuple[float, core.Network] | None = None
+        self._cached_network: tuple[float, core.Network] | None = None
         self._prepared: _Prepared | None = None
 
     @staticmethod
@@ -150,8 +145,7 @@ class LearnedInitialForce:
 
     @staticmethod
     def pretrained(*, remembers: bool = False) -> LearnedInitialForce:
-        """Load the model shipped with the package, a network of 64 x 64 for the contacts of
-        `presets.paper_cuboid()`.
+        """Load the shipped model, a network of 64 x 64 for the contacts of `presets.paper_cuboid()`.
 
         Args:
             remembers: see `load`.
@@ -159,8 +153,7 @@ class LearnedInitialForce:
         return LearnedInitialForce.load(PRETRAINED / "four_finger", remembers=remembers)
 
     def export(self, path: str | Path, grasp: Grasp) -> Path:
-        """Write a file for C++ programs: the model for the contacts of one grasp, and this rule's
-        Phi.
+        """Write the model for one grasp's contacts and this rule's Phi, for C++ programs.
 
         Args:
             path: path of the file, which `grasp::ModelFile::load` reads.
@@ -226,19 +219,18 @@ class LearnedInitialForce:
         return self._prepare(grasp).model.covers(grasp.unit_frame @ _read(wrench))
 
     def raw(self, grasp: Grasp, wrench: Wrench) -> ContactForces:
-        """Return the network's force (N, 3) [N] for a `grasp` and a `wrench` (6,): balanced,
-        possibly outside the cones.
+        """Return the network's force (N, 3) [N] for `grasp` and `wrench`, possibly outside the cones.
 
         Raises:
             InfeasibleStartError: see `__call__`.
         """
-        on = self._prepare(grasp)
+        prepared = self._prepare(grasp)
         load = _read(wrench)
         if not (np.abs(load) <= core.LARGEST).all():
             raise _not_finite(load)
-        coordinates = np.empty(on.internal.shape[1])
-        on.model.predict(grasp.unit_frame @ load, coordinates)
-        return (on.internal @ coordinates - grasp.pseudoinverse @ load).reshape(-1, 3)
+        coordinates = np.empty(prepared.internal.shape[1])
+        prepared.model.predict(grasp.unit_frame @ load, coordinates)
+        return (prepared.internal @ coordinates - grasp.pseudoinverse @ load).reshape(-1, 3)
 
     def _prepare(self, grasp: Grasp) -> _Prepared:
         """Return the model on a grasp, cached for the last grasp."""
@@ -251,9 +243,7 @@ class LearnedInitialForce:
         return prepared
 
     def _model(self, grasp: Grasp) -> tuple[core.Model, Array]:
-        """Return the compiled model, and the basis of internal forces in which it predicts, (3n, 3n
-        - 6).
-        """
+        """Return the compiled model and its basis of internal forces (3N, 3N - 6)."""
         if set(grasp.models.names) != {"hard"}:
             raise InfeasibleStartError(
                 f"this model knows hard contacts, the grasp has {grasp.models.names}: use initial='linear_combination'"
@@ -285,29 +275,26 @@ class LearnedInitialForce:
         )
 
     def _network(self, friction: float) -> core.Network:
-        """Return the network of a friction, cached for the last value, because friction changes
-        less often than contacts.
-        """
-        made = self._made  # one tuple, read once: threads may share a rule
-        if made is None or (made[0] != friction and self._degree):
-            made = self._made = friction, core.Network.make(self.sizes, self._weights(friction))
-        return made[1]
+        """Return the network of a friction, cached for the last friction."""
+        cached = self._cached_network  # one tuple, read once: threads may share a rule
+        if cached is None or (cached[0] != friction and self._degree):
+            network = core.Network.make(self.sizes, self._weights(friction))
+            cached = self._cached_network = friction, network
+        return cached[1]
 
     def _weights(self, friction: float) -> Array:
-        """Return the weights at a friction in the core's order: for each layer the matrix (inputs,
-        outputs), then the bias.
-        """
+        """Return the weights at a friction: per layer the matrix (inputs, outputs), then the bias."""
         feature = (friction - self.features.friction_mean) / self.features.friction_scale
         # far outside the training range its powers would overflow
         feature = min(max(feature, -1e3), 1e3)
         powers = feature ** np.arange(self._degree + 1)
-        parts = list[Array]()
+        blocks = list[Array]()
         for layer in range(len(self.sizes) - 1):
             for name in ("weight", "bias"):
                 coefficients = self.checkpoint.tensors[f"layers.{layer}.{name}"].astype(np.float64)
-                parts.append(np.tensordot(powers, coefficients, 1).T.ravel())
+                blocks.append(np.tensordot(powers, coefficients, 1).T.ravel())
         largest = float(np.finfo(np.float32).max)
-        return np.concatenate(parts).clip(-largest, largest)
+        return np.concatenate(blocks).clip(-largest, largest)
 
     def __reduce__(self) -> tuple[Any, ...]:
         # without the cached grasp: environments in other processes get the checkpoint
@@ -316,9 +303,7 @@ class LearnedInitialForce:
 
 @dataclass(frozen=True)
 class _Prepared:
-    """Model on the contacts of one grasp; predictions are coordinates in the columns of `internal`
-    (3N, 3N - 6).
-    """
+    """Model on one grasp; predictions are coordinates in the columns of `internal` (3N, 3N - 6)."""
 
     grasp: Grasp
     model: core.Model
@@ -340,13 +325,15 @@ def _features(numbers: dict[str, object]) -> Features:
 def _pair(value: Any) -> tuple[float, float]:
     low, high = (number(v, "a range's end", _ANY) for v in value)
     if not low <= high:
-        raise ValueError(f"a range from {low:g} to {high:g}")
+        raise ValueError(
+            f"range [{low:g}, {high:g}] is empty: the first number must not exceed the second"
+        )
     return low, high
 
 
 def _not_finite(wrench: Array) -> InfeasibleStartError:
     return InfeasibleStartError(
-        f"a wrench needs finite numbers up to {core.LARGEST:g}, got {wrench.tolist()}"
+        f"the wrench must be finite and at most {core.LARGEST:g}, got {wrench.tolist()}"
     )
 
 

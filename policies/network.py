@@ -14,9 +14,7 @@ with need("train"):
 
 
 class _Activation(torch.autograd.Function):
-    """Algebraic SiLU with an explicit derivative: a third less memory traffic than torch's chain of
-    products.
-    """
+    """Algebraic SiLU with an explicit derivative: a third less memory traffic than torch's chain."""
 
     @staticmethod
     def forward(ctx: Any, x: Tensor) -> Tensor:
@@ -32,19 +30,15 @@ class _Activation(torch.autograd.Function):
 
 
 def activation(x: Tensor) -> Tensor:
-    """Return x (1 + x / sqrt(1 + x^2)) / 2: smooth, shaped like SiLU, vectorised in the compiled
-    inference.
-    """
+    """Return x (1 + x / sqrt(1 + x^2)) / 2, which is smooth, shaped like SiLU, and vectorises."""
     return _Activation.apply(x)  # type: ignore[return-value]
 
 
 class Network(nn.Module):
-    """Map features (F, B, inputs) to null-space coordinates divided by the magnitude m, (F, B,
-    outputs).
+    """Map features (F, B, inputs) to null-space coordinates over the magnitude m, (F, B, outputs).
 
     The weights are polynomials of the friction, the last feature, which has one value for each of
-    the F rows. So each friction has its own perceptron. A grasp keeps its friction between calls,
-    so a call costs as much as one perceptron.
+    the F rows: each friction has a perceptron.
 
     Args:
         inputs, hidden, outputs: widths of the layers.
@@ -54,8 +48,7 @@ class Network(nn.Module):
     def __init__(self, inputs: int, hidden: Sequence[int], outputs: int, degree: int) -> None:
         super().__init__()
         self.degree = degree
-        # per layer (degree + 1) blocks of inputs + 1 rows, the last row of each is the bias: one
-        # matrix for the optimiser
+        # one matrix per layer: (degree + 1) blocks of inputs + 1 rows, the bias in their last rows
         self.layers = nn.ParameterList()
         for a, b in pairwise([inputs, *hidden, outputs]):
             plain = nn.Linear(a, b)
@@ -70,18 +63,15 @@ class Network(nn.Module):
         for index, layer in enumerate(self.layers):
             blocks = (powers @ layer.view(self.degree + 1, -1)).view(len(x), -1, layer.shape[1])
             x = torch.baddbmm(blocks[:, -1:], x, blocks[:, :-1])
-            x = activation(x) if index < last else x
+            if index < last:
+                x = activation(x)
         return x
 
     def tensors(self) -> dict[str, Tensor]:
-        """Return the coefficients of "weight" (degree + 1, outputs, inputs) and "bias" (degree + 1,
-        outputs) per layer, constant first.
-        """
+        """Return "weight" (degree + 1, outputs, inputs) and "bias" (degree + 1, outputs) per layer."""
         out: dict[str, Tensor] = {}
         for index, layer in enumerate(self.layers):
             blocks = layer.detach().view(self.degree + 1, -1, layer.shape[1])
-            out[f"layers.{index}.weight"], out[f"layers.{index}.bias"] = (
-                blocks[:, :-1].mT,
-                blocks[:, -1],
-            )
+            out[f"layers.{index}.weight"] = blocks[:, :-1].mT
+            out[f"layers.{index}.bias"] = blocks[:, -1]
         return out
