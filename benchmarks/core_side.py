@@ -144,6 +144,7 @@ def new_contacts(case: Case, passes: int, **options: Any) -> Answers:
 
 
 def grasps_of(case: Case) -> list[Any]:
+    """Return the grasps of the path."""
     from grasp_env.grasp import Grasp
 
     contacts = zip(case["path_points"], case["path_normals"], strict=True)

@@ -15,14 +15,11 @@ BUILD = Path(__file__).parents[2] / "build/force"
 
 
 def compiler(variable: str, *names: str) -> str:
-    """The path of a compiler: that of an environment variable, or the first of these; a
-    `RuntimeError` if there is none.
-    """
-    each = (os.environ.get(variable), *names)
-    found = next((found for name in each if name and (found := shutil.which(name))), None)
-    if found is None:
-        raise RuntimeError(f"no compiler: install {names[0]} or {names[1]}, or set {variable}")
-    return found
+    """Find a compiler: `$VARIABLE`, else the first of `names` on PATH, else a `RuntimeError`."""
+    for name in (os.environ.get(variable), *names):
+        if name and (path := shutil.which(name)):
+            return path
+    raise RuntimeError(f"no compiler: install {names[0]} or {names[1]}, or set {variable}")
 
 
 def library(
@@ -32,29 +29,26 @@ def library(
     depends: Sequence[Path] = (),
     cpp: bool = False,
 ) -> Path:
-    """Return a shared library of sources in `BUILD`, compiled if it does not exist, or raise a
-    `RuntimeError`.
-    """
-    command = (
-        compiler("CXX", "g++", "clang++", "c++") if cpp else compiler("CC", "gcc", "clang", "cc")
-    )
+    """Return a shared library in `BUILD`, compiled if it does not exist, or raise `RuntimeError`."""
+    names = ("CXX", "g++", "clang++", "c++") if cpp else ("CC", "gcc", "clang", "cc")
+    command = compiler(*names)
     texts = (command, *flags, *(path.read_text(encoding="utf-8") for path in (*sources, *depends)))
     words = [command, *flags, "-fPIC", "-shared", *map(str, sources), "-o"]
-    return made(name, "\0".join(texts).encode(), lambda part: execute([*words, str(part)]))
+    return cached(name, "\0".join(texts).encode(), lambda path: execute([*words, str(path)]))
 
 
-def made(name: str, key: bytes, make: Callable[[Path], None]) -> Path:
+def cached(name: str, key: bytes, make: Callable[[Path], None]) -> Path:
     """Return the library of a key in `BUILD`, written by `make` if it does not exist."""
     path = BUILD / f"{name}_{digest(key)[:16]}.so"
     if not path.exists():
         BUILD.mkdir(parents=True, exist_ok=True)
-        with replacing(path) as part:
-            make(part)
+        with replacing(path) as temporary:
+            make(temporary)
     return path
 
 
 def execute(words: Sequence[str]) -> None:
     """Run a compiler, or raise a `RuntimeError` with its first words."""
-    answer = subprocess.run(words, capture_output=True, text=True, check=False, timeout=900)
-    if answer.returncode:
-        raise RuntimeError(f"{' '.join(words)[:200]} fails: {answer.stderr.strip()[:300]}")
+    ended = subprocess.run(words, capture_output=True, text=True, check=False, timeout=900)
+    if ended.returncode:
+        raise RuntimeError(f"{' '.join(words)[:200]} fails: {ended.stderr.strip()[:300]}")

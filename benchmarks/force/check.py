@@ -1,6 +1,4 @@
-"""Validation of stored references: bounds and witnesses are computed anew from the problems, forces
-and multipliers.
-"""
+"""Validation of stored references, whose bounds and witnesses are computed again."""
 
 from __future__ import annotations
 
@@ -14,24 +12,22 @@ from benchmarks.force.problems import Problem, Reference, Session, Track
 from benchmarks.force.references import DIGITS, GAP, exact_measure, numbers
 
 AGREEMENT = 1e-8
-"""Largest relative distance of the optimum from the objective of the force, and from the optimum by
-another solver."""
+"""Largest relative distance of an optimum from its force's objective and another solver's optimum."""
 ROUNDING = 1e-11
-"""Relative change of a bound that is computed anew: sums in another order round differently, and
-large internal forces amplify it."""
+"""Largest relative change of a bound that is computed again: sums may round in another order, which
+large internal forces amplify."""
 
 
 def check(track: Track) -> list[str]:
     """Return complaints about the references of a track."""
     return [
-        f"{track.name}, session {session.name!r}, {where}"
+        f"{track.name}, session {session.name!r}, {complaint}"
         for session in track.sessions
-        for where in _complaints(session, track.about["objectives"])
+        for complaint in _complaints(session, track.about["objectives"])
     ]
 
 
 def _complaints(session: Session, objectives: Sequence[str]) -> Iterator[str]:
-    """Complaints about a session."""
     problems = session.problems
     for name in objectives:
         reference = session.references.get(name)
@@ -42,16 +38,13 @@ def _complaints(session: Session, objectives: Sequence[str]) -> Iterator[str]:
             yield f"{name}: {len(reference.value)} references of {len(problems)} problems"
             continue
         for m, problem in enumerate(problems):
-            yield from (
-                f"problem {m}, {name}: {wrong}" for wrong in _wrong(problem, name, reference, m)
-            )
+            for fault in _faults(problem, name, reference, m):
+                yield f"problem {m}, {name}: {fault}"
 
 
-def _wrong(problem: Problem, name: str, reference: Reference, m: int) -> Iterator[str]:
-    """Complaints about a reference."""
-    value, lower, upper, force, multipliers = (
-        getattr(reference, each)[m] for each in ("value", "lower", "upper", "force", "multipliers")
-    )
+def _faults(problem: Problem, name: str, reference: Reference, m: int) -> Iterator[str]:
+    names = ("value", "lower", "upper", "force", "multipliers")
+    value, lower, upper, force, multipliers = (getattr(reference, field)[m] for field in names)
     other = value if reference.other is None else reference.other[m]
     if not np.isfinite([value, lower, upper]).all():
         margin = Measure.of(problem).witness(multipliers)
@@ -77,7 +70,7 @@ def _wrong(problem: Problem, name: str, reference: Reference, m: int) -> Iterato
 def _measured(
     problem: Problem, name: str, reference: Reference, m: int
 ) -> tuple[float, float, float]:
-    """Lower bound, upper bound and objective of a reference, in many digits if it has them."""
+    """Return lower bound, upper bound and objective, in many digits if the reference has them."""
     force = reference.force[m]
     multipliers = reference.multipliers[m]
     with mp.workdps(DIGITS):

@@ -11,22 +11,20 @@ import numpy as np
 from benchmarks.force.problems import Array, Problem
 
 Answer = Any
-"""force (N k,) or (N, k); or (force, multipliers); or (force, multipliers, status), with status one
-of `STATUSES`."""
+"""force (N k,) or (N, k), (force, multipliers), or (force, multipliers, one of `STATUSES`)."""
 STATUSES = ("solved", "failed", "infeasible")
-"""In the order of the C function's return values; any other value is a failure."""
+"""Statuses in the order of a C function's return values; other values are failures."""
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """The description of a session that `setup` gets.
+    """The session that `setup` prepares for.
 
     Attributes:
         track: its name.
         objective: "sum" or "phi".
         mode: one of `problems.MODES`.
-        first: the first problem: its contacts, friction and limits are those of every problem that
-            has not `moved`.
+        first: the first problem; problems that have not `moved` differ from it in the wrench.
     """
 
     track: str
@@ -38,11 +36,10 @@ class Task:
 class Entrant(Protocol):
     """A solver.
 
-    Besides these, an entrant may have `objectives` (both by default), `division` ("closed", the
-    default, "learned" or "open"), `note` (settings, for people), `training_seconds` (of a learned
-    one), `iterations` (of the last solve), `solve_many(problems) -> list of answers`, which is
-    timed besides in mode persistent, and `compiled() -> Compiled`, with which it is called and
-    timed in C.
+    An entrant may also have `objectives` (default: both), `division` ("closed", the default,
+    "learned" or "open"), `note` (settings, for people), `training_seconds`, `iterations` (of the
+    last solve), `solve_many(problems) -> list of answers`, which is timed, too, in mode persistent,
+    and `compiled() -> Compiled`, with which it is called and timed in C.
     """
 
     name: str
@@ -61,7 +58,7 @@ class Entrant(Protocol):
 
 
 def status_of(returned: int) -> str:
-    """The status that a C function's return value stands for."""
+    """Translate a C return value to a status."""
     return STATUSES[returned] if 0 <= returned < len(STATUSES) else "failed"
 
 
@@ -94,7 +91,7 @@ class CProblem(ctypes.Structure):
     def of(cls, problem: Problem) -> CProblem:
         """Return a view of a problem, which must outlive the view."""
         touching = np.ones(problem.n_contacts) if problem.touching is None else problem.touching
-        made = cls(
+        view = cls(
             problem.n_contacts,
             problem.width,
             0 if problem.torque_limit is None else len(problem.torque_limit),
@@ -104,8 +101,8 @@ class CProblem(ctypes.Structure):
         )
         for name in cls._pointers:
             array = getattr(problem, name)
-            setattr(made, name, None if array is None or not array.size else array.ctypes.data)
-        return made
+            setattr(view, name, None if array is None or not array.size else array.ctypes.data)
+        return view
 
 
 @dataclass(frozen=True)
@@ -128,9 +125,7 @@ class Compiled:
 
 
 class Library:
-    """`FILE.so:FUNCTION` as an entrant: FUNCTION, and FUNCTION_setup and FUNCTION_close where they
-    exist.
-    """
+    """`FILE.so:FUNCTION` as an entrant, with FUNCTION_setup and FUNCTION_close if they exist."""
 
     note = "a shared library, timed in C"
 
@@ -166,15 +161,15 @@ class Library:
         self._context = None
 
     def solve(self, problem: Problem, start: Array | None = None) -> Answer:
-        """One call from Python."""
+        """Call the function once from Python."""
         force = np.zeros(problem.matrix.shape[1])
         steps = ctypes.c_int()
         multipliers = np.zeros(6 + len(problem.limit_bound))
         call = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_void_p] * 6)(self._solve)
-        given = None if start is None else start.ctypes.data
+        begin = None if start is None else start.ctypes.data
         view = CProblem.of(problem)
-        written = force.ctypes.data, multipliers.ctypes.data, ctypes.addressof(steps)
-        status = call(self._context, ctypes.addressof(view), given, *written)
+        results = force.ctypes.data, multipliers.ctypes.data, ctypes.addressof(steps)
+        status = call(self._context, ctypes.addressof(view), begin, *results)
         self.iterations = steps.value
         return force, multipliers, status_of(status)
 

@@ -17,19 +17,19 @@ class Mine:
         self.cost = np.tile([1.0, 0.0, 0.0], task.first.n_contacts)
 
     def solve(self, problem, start=None):
-        """The force (3N,) along normal, o and t of each contact."""
+        """The force (3N,) along normal, o and t of i contact."""
         matrix = problem.matrix
         friction = problem.friction
-        each = np.arange(problem.n_contacts)
+        i = np.arange(problem.n_contacts)
 
         def cones(f):
             return friction * f[::3] - np.sqrt(f[1::3] ** 2 + f[2::3] ** 2 + 1e-16)
 
         def cones_jacobian(f):
-            made = np.zeros((len(each), len(each), 3))
+            jacobian = np.zeros((len(i), len(i), 3))
             size = np.sqrt(f[1::3] ** 2 + f[2::3] ** 2 + 1e-16)
-            made[each, each] = np.stack([friction, -f[1::3] / size, -f[2::3] / size], axis=1)
-            return made.reshape(len(each), -1)
+            jacobian[i, i] = np.stack([friction, -f[1::3] / size, -f[2::3] / size], axis=1)
+            return jacobian.reshape(len(i), -1)
 
         f = -np.linalg.pinv(matrix) @ problem.wrench if start is None else np.array(start)
         f[::3] = np.maximum(f[::3], 1.1 * np.hypot(f[1::3], f[2::3]) / friction)
@@ -39,7 +39,7 @@ class Mine:
             "jac": lambda f: matrix,
         }
         inside = {"type": "ineq", "fun": cones, "jac": cones_jacobian}
-        found = minimize(
+        result = minimize(
             lambda f: (self.cost @ f, self.cost),
             f,
             jac=True,
@@ -47,5 +47,5 @@ class Mine:
             constraints=[balance, inside],
             options={"ftol": 1e-8, "maxiter": 300},
         )
-        self.iterations = found.nit
-        return found.x, None, "solved" if found.success else "failed"
+        self.iterations = result.nit
+        return result.x, None, "solved" if result.success else "failed"

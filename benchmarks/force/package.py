@@ -1,4 +1,4 @@
-"""A problem as this package's contacts and limits, and the other way round."""
+"""Conversion between problems and this package's contacts and limits."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ LIMITS = ("min_normal", "max_normal", "jacobian", "torque_limit", "torque_bias")
 
 
 def grasp_of(problem: Problem) -> tuple[Grasp, ForceLimits | None]:
-    """The contacts of a problem, all of which touch, and its limits.
+    """Return the contacts of a problem, whether or not they touch, and its limits.
 
-    Their frames are those of the files, up to rounding.
+    The frames are the problem's up to rounding.
     """
     soft: dict[str, Any] = {}
     if (gamma := problem.torsional_friction) is not None:
-        models = ["soft" if each > 0.0 else "hard" for each in gamma]
+        models = ["soft" if g > 0.0 else "hard" for g in gamma]
         soft = {"contact_model": models, "torsional_friction": np.where(gamma > 0.0, gamma, 1.0)}
     grasp = Grasp.from_contacts(problem.positions, problem.normals, problem.friction, **soft)
-    given: dict[str, np.ndarray] = {
+    limits: dict[str, np.ndarray] = {
         name: value for name in LIMITS if (value := getattr(problem, name)) is not None
     }
-    return grasp, ForceLimits(**given) if given else None
+    return grasp, ForceLimits(**limits) if limits else None
 
 
 def problem_of(grasp: Grasp, wrench: ArrayLike, **others: Any) -> Problem:
-    """A problem with the hard contacts of a grasp; `others` are further fields."""
+    """Return a problem with the hard contacts of a grasp; `others` are further fields."""
     arrays = {name: np.array(getattr(grasp, name)) for name in ("positions", "frames", "friction")}
     return Problem(**{**arrays, "wrench": np.array(wrench, dtype=float), **others})

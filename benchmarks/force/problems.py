@@ -10,8 +10,8 @@ Objectives: `sum` is the sum of the normal forces [N]. `phi` is the paper's, sum
 u + 2 u / (u^2 - o^2 - t^2)) with u = friction * normal and lambda = `BARRIER_WEIGHT`; it is defined
 for contacts without torsion and limits.
 
-A track is a file NAME.npz with NAME.json beside it. It consists of sessions: problems of one
-structure in their order.
+A track is a file NAME.npz with NAME.json beside it. It consists of sessions, which are sequences of
+problems of one structure.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ BARRIER_WEIGHT = 0.01
 """lambda of `phi` [N^2]."""
 OBJECTIVES = ("sum", "phi")
 MODES = ("cold", "persistent", "warm")
-"""cold: `setup` is timed with every solve. persistent: `setup` once for a session, untimed. warm:
-the same, and `start` is the last force."""
+"""cold: `setup` is timed with every solve. persistent: `setup` is called once a session, untimed.
+warm: the same, and `start` is the last force."""
 SETS = Path(__file__).with_name("sets")
 FIELDS = {
     "positions": "(M, N, 3) m, contact points",
@@ -51,13 +51,13 @@ FIELDS = {
     "torque_limit": "(M, J) N m, abs(J^T f + torque_bias) <= torque_limit",
     "torque_bias": "(M, J) N m",
 }
-"""The arrays of a session, M problems of N contacts and J joints; what does not change has a first
-dimension of 1. The frame is the object's."""
+"""The arrays of a session in the object's frame, for M problems of N contacts and J joints; arrays
+that do not change have a first dimension of 1."""
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Problem that a solver receives; arrays are read-only.
+    """Problem that a solver receives, with read-only arrays.
 
     Attributes:
         positions, frames, friction, wrench, touching, torsional_friction, min_normal, max_normal,
@@ -94,21 +94,19 @@ class Problem:
     def __post_init__(self) -> None:
         self._keep(vars(self))
         rows, bound, size = self._limits()
-        self._keep(
-            {"normals": self.frames[:, :, 0], "matrix": self._matrix(), "limit_matrix": rows}
-        )
-        self._keep({"limit_bound": bound, "limit_size": size})
+        self._keep({"normals": self.frames[:, :, 0], "matrix": self._matrix()})
+        self._keep({"limit_matrix": rows, "limit_bound": bound, "limit_size": size})
 
     def _keep(self, arrays: dict[str, Any]) -> None:
-        """Set fields to arrays, contiguous and read-only."""
+        """Set fields to contiguous read-only arrays."""
         for name, array in arrays.items():
             if isinstance(array, np.ndarray):
-                kept = np.ascontiguousarray(array)
-                kept.setflags(write=False)
-                object.__setattr__(self, name, kept)
+                copy = np.ascontiguousarray(array)
+                copy.setflags(write=False)
+                object.__setattr__(self, name, copy)
 
     def differs(self, earlier: Problem) -> bool:
-        """True if something besides the wrench may differ from an earlier problem of the session."""
+        """Return True if more than the wrench may differ from an earlier problem of the session."""
         return self is not earlier and (self.moved or earlier.moved)
 
     @property
@@ -123,13 +121,13 @@ class Problem:
 
     def _matrix(self) -> Array:
         moments = np.cross(self.positions[:, :, None], self.frames, axisa=1, axisb=1, axisc=1)
-        made = np.concatenate([self.frames, moments], axis=1)  # (N, 6, 3)
+        columns = np.concatenate([self.frames, moments], axis=1)  # (N, 6, 3)
         if self.width == 4:
             turning = np.concatenate([np.zeros_like(self.positions), self.frames[:, :, 0]], axis=1)
-            made = np.concatenate([made, turning[:, :, None]], axis=2)
+            columns = np.concatenate([columns, turning[:, :, None]], axis=2)
         if self.touching is not None:
-            made = made * self.touching[:, None, None]
-        return made.transpose(1, 0, 2).reshape(6, -1)
+            columns = columns * self.touching[:, None, None]
+        return columns.transpose(1, 0, 2).reshape(6, -1)
 
     def _limits(self) -> tuple[Array, Array, Array]:
         n, k = self.n_contacts, self.width
@@ -147,7 +145,7 @@ class Problem:
                     size.append(limit)
         if self.jacobian is not None and self.torque_limit is not None:
             bias = (
-                np.zeros(len(self.torque_limit)) if self.torque_bias is None else self.torque_bias
+                np.zeros_like(self.torque_limit) if self.torque_bias is None else self.torque_bias
             )
             levers = np.einsum("nab,naj->nbj", self.frames, self.jacobian[:, :3])
             if k == 4:
@@ -159,11 +157,8 @@ class Problem:
                     rows.append(sign * levers[:, :, j])
                     bound.append(limit - sign * bias[j])
                     size.append(limit)
-        return (
-            np.array(rows).reshape(-1, n * k),
-            np.array(bound, dtype=float),
-            np.array(size, dtype=float),
-        )
+        matrix = np.array(rows).reshape(-1, n * k)
+        return matrix, np.array(bound, dtype=float), np.array(size, dtype=float)
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,8 +169,8 @@ class Reference:
         value: (M,) the optimum; inf where no force exists.
         lower, upper: (M,) dual and primal bound.
         force: (M, N k) an optimal force; nan where none exists.
-        multipliers: (M, 6 + L) those of balance and limits; the witness where no force exists.
-        rest: rounding errors of force and multipliers (M, N k + 6 + L) of references in many digits
+        multipliers: (M, 6 + L) of balance and limits; the witness where no force exists.
+        rest: (M, N k + 6 + L) rounding errors of force and multipliers if they have many digits
             (zero if doubles sufficed), else None.
         other: (M,) the optimum by another solver, in the published files: Clarabel's, or in track
             `hard` one in the six multipliers.
@@ -192,7 +187,7 @@ class Reference:
 
 @dataclass(frozen=True, eq=False)
 class Session:
-    """Problems of one structure in their order.
+    """A sequence of problems of one structure.
 
     Attributes:
         name: within the track.
@@ -207,25 +202,24 @@ class Session:
     @cached_property
     def problems(self) -> list[Problem]:
         """The problems; those of equal contacts and limits differ in the wrench."""
-        return self.made()
+        return self.copies()
 
-    def made(self) -> list[Problem]:
-        """Return copies of the problems."""
+    def copies(self) -> list[Problem]:
+        """Return new copies of the problems."""
         count = len(self.arrays["wrench"])
-        each = {
+        stacked = {
             name: np.broadcast_to(array, (count, *array.shape[1:]))
             for name, array in self.arrays.items()
         }
-        made = []
+        problems = []
         for m in range(count):
             moved = any(
                 name != "wrench" and not np.array_equal(array[m], array[0])
-                for name, array in each.items()
+                for name, array in stacked.items()
             )
-            made.append(
-                Problem(**{name: np.array(array[m]) for name, array in each.items()}, moved=moved)
-            )
-        return made
+            arrays = {name: np.array(array[m]) for name, array in stacked.items()}
+            problems.append(Problem(**arrays, moved=moved))
+        return problems
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,35 +237,35 @@ class Track:
     about: dict[str, Any]
 
     def digest(self) -> str:
-        """SHA-256 of the problems: name, type, shape and bytes of every array."""
-        parts = []
+        """Return the SHA-256 of the problems: name, type, shape and bytes of every array."""
+        blobs = []
         for session in self.sessions:
             for name in sorted(session.arrays):
                 array = np.ascontiguousarray(session.arrays[name])
-                parts += [
-                    f"{session.name}/{name} {array.dtype.str} {array.shape}\n".encode(),
-                    array.tobytes(),
-                ]
-        return digest(*parts)
+                header = f"{session.name}/{name} {array.dtype.str} {array.shape}\n"
+                blobs += [header.encode(), array.tobytes()]
+        return digest(*blobs)
 
 
 def names(folder: Path = SETS) -> list[str]:
-    """The tracks of a folder, in their order."""
-    found = {
+    """Return the tracks of a folder in their order."""
+    descriptions = {
         path.stem: _description(path)
         for path in folder.glob("*.json")
         if path.with_suffix(".npz").exists()
     }
-    if not found:
+    if not descriptions:
         raise ValueError(
             f"{folder} holds no track: NAME.npz with NAME.json beside it; make them with `python -m benchmarks.force generate`"
         )
-    return sorted(found, key=lambda name: found[name].get("place", 0))
+    return sorted(descriptions, key=lambda name: descriptions[name].get("place", 0))
 
 
 def load(name: str, folder: Path = SETS) -> Track:
-    """A track from its files, or a `ValueError` if there is none, or they are of another version or
-    do not fit their SHA-256.
+    """Read a track from its files.
+
+    Raises:
+        ValueError: there are none, or they are of another version or do not fit their SHA-256.
     """
     path = folder / f"{name}.npz"
     if not path.is_file():
@@ -282,7 +276,9 @@ def load(name: str, folder: Path = SETS) -> Track:
         if lacking := {"schema", "modes", "objectives", "sessions", "sha256"} - set(about):
             raise ValueError(f"{name}.json lacks {', '.join(sorted(lacking))}")
         if about["schema"] != SCHEMA:
-            raise ValueError(f"it has schema {about['schema']!r}, this version reads {SCHEMA}")
+            raise ValueError(
+                f"file has schema {about['schema']!r}; this version reads schema {SCHEMA}"
+            )
         for what, known in (("modes", MODES), ("objectives", OBJECTIVES)):
             if not set(about[what]) <= set(known):
                 raise ValueError(f"its {what} are {about[what]}, known are {', '.join(known)}")
@@ -296,18 +292,10 @@ def load(name: str, folder: Path = SETS) -> Track:
                 arrays[where[0]] = array
             else:
                 references.setdefault(where[0], {})[where[1]] = array
-        track = Track(
-            name,
-            [
-                Session(
-                    label,
-                    arrays,
-                    {objective: Reference(**each) for objective, each in references.items()},
-                )
-                for label, (arrays, references) in sessions.items()
-            ],
-            about,
-        )
+        track = Track(name, [], about)
+        for label, (arrays, references) in sessions.items():
+            optima = {objective: Reference(**fields) for objective, fields in references.items()}
+            track.sessions.append(Session(label, arrays, optima))
         if track.digest() != about["sha256"]:
             digests = f"their SHA-256 is {track.digest()}, expected {about['sha256']}"
             raise ValueError(f"it does not hold the problems of {name}.json: {digests}")
@@ -324,8 +312,10 @@ def save(track: Track, folder: Path = SETS) -> None:
     for session in track.sessions:
         arrays |= {f"{session.name}/{name}": array for name, array in session.arrays.items()}
         for objective, reference in session.references.items():
-            given = {name: array for name, array in vars(reference).items() if array is not None}
-            arrays |= {f"{session.name}/{objective}/{name}": array for name, array in given.items()}
+            fields = {name: array for name, array in vars(reference).items() if array is not None}
+            arrays |= {
+                f"{session.name}/{objective}/{name}": array for name, array in fields.items()
+            }
     about = {"schema": SCHEMA, **track.about, "sha256": track.digest()}
     about |= {"sessions": [session.name for session in track.sessions], "arrays": FIELDS}
     path = folder / f"{track.name}.npz"
@@ -336,5 +326,5 @@ def save(track: Track, folder: Path = SETS) -> None:
 
 
 def _description(path: Path) -> dict[str, Any]:
-    """The JSON of a track."""
+    """Read the JSON of a track."""
     return read_json(path, InvalidInputError, "the description of a track")

@@ -1,9 +1,9 @@
 """References of the tracks, made from the problems: `refer`.
 
 A reference is a force with multipliers that prove it optimal, or a witness that no force exists.
-`Measure` computes the bounds from the problem alone, so the proof holds whoever found the numbers.
-The package finds them: conic for `sum`, newton for `phi`. In a track of many digits, and where
-doubles leave too large a gap, `exact` goes on from the package's force with mpmath.
+`Measure` computes the bounds from the problem alone, so the proof does not depend on the solver.
+The numbers are the package's: conic for `sum`, newton for `phi`. In a track of many digits, and
+where doubles leave too large a gap, `exact` continues from the package's force with mpmath.
 
 `exact` solves hard contacts without limits in cone coordinates x = (u, o, t), u = friction *
 normal. It minimises
@@ -36,20 +36,17 @@ from grasp_env.force import ForceOptimizer
 GAP = 1e-9
 """Largest (upper - lower) / upper."""
 TOLERANCES = (1e-13, 1e-12, 1e-11, 1e-10, 1e-9)
-"""Tolerances that the package is given one after the other, until the gap is a tenth of `GAP`; the
-best answer counts."""
+"""Tolerances that are tried until the gap is a tenth of `GAP`; the best answer counts."""
 DIGITS = 100
 """Digits of `exact`. The Hessian of a barrier spans up to twice the digits of the gap."""
 EXACT_GAP, CLOSE, CONVERGED = mp.mpf("1e-18"), mp.mpf("0.1"), mp.mpf("1e-20")
-"""Relative gap of `sum`; Newton decrements, in units of the weight, of the last step for a weight
-and of the last step of all."""
+"""Relative gap of `sum`, and Newton decrements in units of the weight: for each weight, at last."""
 STEPS, HALVINGS = 300, 200
-"""Most Newton steps for a weight, which takes 1 to 20, and most halvings of one."""
+"""Most Newton steps for a weight (it takes 1 to 20), and most halvings of a step."""
 
 FLIP = np.array([1, -1, -1], dtype=object)
 Barrier = Callable[[Numbers, Any], Any]
-"""Gradient (N, 3) and Hessian (N, 3, 3) of a barrier as a function of x and its weight; None
-outside the cones."""
+"""Map x and a weight to gradient (N, 3) and Hessian (N, 3, 3); None outside the cones."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +67,7 @@ class Certified:
 
     @property
     def gap(self) -> float:
-        """(upper - lower) / upper; 0 where no force exists, inf where nothing is known."""
+        """(upper - lower) / upper; 0 if no force exists, inf if nothing is known."""
         if self.lower == np.inf:
             return 0.0
         return abs(self.upper - self.lower) / self.upper if 0.0 < self.upper < np.inf else np.inf
@@ -82,67 +79,64 @@ class Certified:
 
 
 def refer(session: Session, objectives: Sequence[str], digits: str) -> dict[str, Reference]:
-    """The references of a session's problems, by objective; a `ValueError` names a problem that is
-    not settled.
+    """Return new references of a session's problems, by objective.
 
     Args:
         session: its references are not read.
         objectives: of the track.
         digits: "double": by the package, and by `exact` where that is not enough; "exact": all by
             `exact`.
+
+    Raises:
+        ValueError: a problem has no answer within `GAP`.
     """
-    made = {}
+    references = {}
     with ProcessPoolExecutor(2) as pool:
         for name in objectives:
-            found: list[Certified] = []
+            answers: list[Certified] = []
             for m, answer in enumerate(
                 pool.map(_settled, session.problems, repeat(name), repeat(digits), chunksize=4)
             ):
                 if isinstance(answer, str):
                     raise ValueError(f"session {session.name!r}, problem {m}, {name}: {answer}")
-                found.append(answer)
-            made[name] = _reference(found)
-    return made
+                answers.append(answer)
+            references[name] = _reference(answers)
+    return references
 
 
-def distance(stored: Reference, made: Reference) -> float:
-    """Return the largest relative difference of the optima; inf if they disagree on whether a force
-    exists.
-    """
+def distance(stored: Reference, other: Reference) -> float:
+    """Return the largest relative difference of optima; inf if only one says that none exists."""
     with np.errstate(invalid="ignore"):
-        apart = np.abs(made.value - stored.value) / stored.value
+        apart = np.abs(other.value - stored.value) / stored.value
     apart = np.where(np.isnan(apart), np.inf, apart)
-    return float(np.where(made.value == stored.value, 0.0, apart).max())
+    return float(np.where(other.value == stored.value, 0.0, apart).max())
 
 
 def _settled(problem: Problem, name: str, digits: str) -> Certified | str:
-    """An answer, or what is wrong."""
+    """Return an answer, or a message."""
     try:
-        found = exact(problem, name) if digits == "exact" else package(problem, name)
-        if found.gap > GAP and problem.width == 3 and not len(problem.limit_bound):
-            found = exact(problem, name)
+        answer = exact(problem, name) if digits == "exact" else package(problem, name)
+        if answer.gap > GAP and problem.width == 3 and not len(problem.limit_bound):
+            answer = exact(problem, name)
     except (GraspError, ArithmeticError) as error:
         return str(error)
-    return (
-        found
-        if found.gap <= GAP
-        else f"the bounds {found.lower!r} and {found.upper!r} are a gap of {found.gap:.1e}"
-    )
+    if answer.gap <= GAP:
+        return answer
+    return f"the bounds {answer.lower!r} and {answer.upper!r} are a gap of {answer.gap:.1e}"
 
 
-def _reference(found: list[Certified]) -> Reference:
-    """The record of a session; rests are there if any problem has one."""
+def _reference(answers: list[Certified]) -> Reference:
+    """Return the record of a session; it has a rest if any answer has one."""
     names = ("value", "lower", "upper", "force", "multipliers")
-    stacked = {name: np.array([getattr(each, name) for each in found]) for name in names}
-    none = np.zeros(len(found[0].force) + len(found[0].multipliers))
-    rests = np.stack([none if each.rest is None else each.rest for each in found])
-    return Reference(
-        **stacked, rest=rests if any(each.rest is not None for each in found) else None
-    )
+    arrays = {name: np.array([getattr(a, name) for a in answers]) for name in names}
+    if any(a.rest is not None for a in answers):
+        none = np.zeros(len(answers[0].force) + len(answers[0].multipliers))
+        arrays["rest"] = np.stack([none if a.rest is None else a.rest for a in answers])
+    return Reference(**arrays)
 
 
 def package(problem: Problem, name: str) -> Certified:
-    """The answer of `ForceOptimizer`, whose `GraspError` is raised if it refuses the problem."""
+    """Return the answer of `ForceOptimizer`, or raise its `GraspError`."""
     grasp, limits = grasp_of(problem)
     method = "conic" if name == "sum" else "newton"
 
@@ -158,17 +152,14 @@ def package(problem: Problem, name: str) -> Certified:
             if solution is None:
                 continue
             force = np.column_stack([solution.force, solution.torsion])[:, : problem.width]
-            yield (
-                force.reshape(-1),
-                np.concatenate([solution.multipliers, solution.limit_multipliers]),
-                solution.certificate is not None,
-            )
+            multipliers = np.concatenate([solution.multipliers, solution.limit_multipliers])
+            yield force.reshape(-1), multipliers, solution.certificate is not None
 
     return _best(problem, name, answers())
 
 
 def _best(problem: Problem, name: str, answers: Iterable[tuple[Array, Array, bool]]) -> Certified:
-    """The answer of the least gap, or the first witness that holds."""
+    """Return the answer of the least gap, or the first valid witness."""
     measure = Measure.of(problem)
     none = best = Certified(
         np.full(problem.matrix.shape[1], np.nan), np.zeros(6 + len(measure.bound)), -np.inf, np.inf
@@ -180,9 +171,9 @@ def _best(problem: Problem, name: str, answers: Iterable[tuple[Array, Array, boo
             continue
         lower = measure.lower(name, multipliers)
         upper = measure.upper(name, force, multipliers)
-        found = Certified(force, multipliers, float(lower), float(upper))
-        if found.gap < best.gap:
-            best = found
+        answer = Certified(force, multipliers, float(lower), float(upper))
+        if answer.gap < best.gap:
+            best = answer
         if best.gap <= 0.1 * GAP:
             break
     return best
@@ -192,7 +183,7 @@ def _best(problem: Problem, name: str, answers: Iterable[tuple[Array, Array, boo
 
 
 def exact(problem: Problem, name: str) -> Certified:
-    """The answer in `DIGITS` digits, or an `ArithmeticError`."""
+    """Return the answer in `DIGITS` digits, or raise an `ArithmeticError`."""
     if problem.width != 3 or len(problem.limit_bound):
         raise ArithmeticError("many digits are for hard contacts without limits")
     if name == "sum" and not problem.wrench.any():
@@ -200,20 +191,19 @@ def exact(problem: Problem, name: str) -> Certified:
     start = package(problem, "phi").force
     with mp.workdps(DIGITS):
         m = exact_measure(problem)
-        kept = np.flatnonzero(m.touching)
-        mu = m.friction[kept]
-        count = len(kept)
-        matrix = m.matrix[:, kept]  # A: a copy
+        on = np.flatnonzero(m.touching)
+        mu = m.friction[on]
+        matrix = m.matrix[:, on]  # A: a copy
         matrix[:, :, 0] /= mu
-        costs = numbers(np.zeros((count, 3)))
-        costs[:, 0] = m.price(name)[kept] / mu
-        x = numbers(start).reshape(-1, 3)[kept]
+        costs = numbers(np.zeros((len(on), 3)))
+        costs[:, 0] = m.price(name)[on] / mu
+        x = numbers(start).reshape(-1, 3)[on]
         x[:, 0] *= mu
         x, nu = _optimum(name, matrix, -m.load, costs, x, m.weight)
         force = numbers(np.zeros((len(m.friction), 3)))
         multipliers = m.about_origin(nu)
-        force[kept] = x
-        force[kept, 0] /= mu
+        force[on] = x
+        force[on, 0] /= mu
         force = force.reshape(-1)
         lower = m.lower(name, multipliers)
         upper = m.upper(name, force, multipliers)
@@ -222,10 +212,9 @@ def exact(problem: Problem, name: str) -> Certified:
 
 
 def exact_measure(problem: Problem) -> Measure:
-    """The measure in numbers of mpmath. The doubles of a problem define it without their rounding.
+    """Return the measure in numbers of mpmath, with frames made orthonormal in all digits.
 
-    n is the first column of a frame at unit length, o the second column at unit length across n, t
-    = n x o.
+    n is the first column of a frame at unit length, o the second across n, and t = n x o.
     """
     normal, along = (numbers(problem.frames[:, :, k]) for k in (0, 1))
     normal = normal / _norm(normal)
@@ -235,39 +224,33 @@ def exact_measure(problem: Problem) -> Measure:
 
 
 def numbers(values: Any) -> Numbers:
-    """An object array of mpmath's numbers, exactly."""
+    """Convert to an object array of mpmath's numbers, exactly."""
     array = np.asarray(values)
-    made = np.empty(array.size, dtype=object)
-    made[:] = [mp.mpf(each) for each in array.reshape(-1).tolist()]
-    return made.reshape(array.shape)
+    exact = np.empty(array.size, dtype=object)
+    exact[:] = [mp.mpf(value) for value in array.reshape(-1).tolist()]
+    return exact.reshape(array.shape)
 
 
 def split(values: Numbers) -> tuple[Array, Array]:
-    """Numbers as two floats: the nearest ones, and what they leave."""
+    """Split numbers into the nearest floats and the remainders as floats."""
     high = values.astype(float)
     return high, (values - numbers(high)).astype(float)
 
 
 def _norm(vectors: Numbers) -> Numbers:
-    """(N, 1) lengths of (N, 3)."""
+    """Return the lengths (N, 1)."""
     return np.sqrt((vectors**2).sum(axis=1))[:, None]
 
 
 def _optimum(
     name: str, matrix: Numbers, target: Numbers, costs: Numbers, x: Numbers, weight: Any
 ) -> tuple[Numbers, Numbers]:
-    """Return the optimal x and nu over A x = target, from an x strictly inside the cones that
-    balances in doubles.
-    """
+    """Return the optimal x and nu over A x = target, from an x that balances in doubles."""
     if _phi(x, weight) is None:
         raise ArithmeticError("the package found no force strictly inside the cones")
     for _ in range(2):  # add what doubles miss of balance; twice, because a step rounds
-        x = (
-            x
-            + _step(matrix, _phi(x, weight)[1], 0 * x, target - np.einsum("rnk,nk->r", matrix, x))[
-                0
-            ]
-        )
+        missed = target - np.einsum("rnk,nk->r", matrix, x)
+        x = x + _step(matrix, _phi(x, weight)[1], 0 * x, missed)[0]
     value = (costs * x).sum()
     if name == "phi":
         return _minimised(_phi, matrix, costs, x, weight, CONVERGED * value)
@@ -284,11 +267,12 @@ def _optimum(
 def _minimised(
     barrier: Barrier, matrix: Numbers, costs: Numbers, x: Numbers, weight: Any, close: Any
 ) -> tuple[Numbers, Numbers]:
-    """The minimiser of `costs .
+    """Minimise costs . x + barrier(x, weight) from a balanced x inside the cones.
 
-    x + barrier(x, weight)` from a balanced x inside the cones, and nu with gradient = A^T nu.
+    The last step is the one whose squared Newton decrement is at most `close`.
 
-    The step whose squared Newton decrement is at most `close` is the last one.
+    Returns:
+        The minimiser, and nu with gradient = A^T nu.
     """
     for _ in range(STEPS):
         gradient, hessian = barrier(x, weight)
@@ -296,22 +280,24 @@ def _minimised(
         move, nu = _step(matrix, hessian, -slope, 0 * matrix[:, 0, 0])
         near = -(slope * move).sum() <= close
 
-        def good(move: Numbers, x: Numbers = x, slope: Numbers = slope, near: bool = near) -> bool:
-            there = barrier(x + move, weight)
-            return there is not None and (
-                near or 4 * ((costs + there[0]) * move).sum() <= -(slope * move).sum()
+        def accepted(
+            move: Numbers, x: Numbers = x, slope: Numbers = slope, near: bool = near
+        ) -> bool:
+            end = barrier(x + move, weight)
+            return end is not None and (
+                near or 4 * ((costs + end[0]) * move).sum() <= -(slope * move).sum()
             )
 
-        x = x + _halved(move, good)
+        x = x + _halved(move, accepted)
         if near:
             return x, nu
     raise ArithmeticError(f"{STEPS} Newton steps were not enough")
 
 
-def _halved(move: Numbers, good: Callable[[Numbers], bool]) -> Numbers:
-    """Return the move, halved until it is good."""
+def _halved(move: Numbers, accepted: Callable[[Numbers], bool]) -> Numbers:
+    """Halve the move until it is accepted."""
     for _ in range(HALVINGS):
-        if good(move):
+        if accepted(move):
             return move
         move = move / 2
     raise ArithmeticError("no step leads down inside the cones")
@@ -321,7 +307,7 @@ def _step(
     matrix: Numbers, hessian: Numbers, right: Numbers, missed: Numbers
 ) -> tuple[Numbers, Numbers]:
     """Return dx (N, 3) and nu (6,) with hessian dx - A^T nu = right and A dx = missed."""
-    inverse = np.stack([numbers(mp.inverse(mp.matrix(each.tolist())).tolist()) for each in hessian])
+    inverse = np.stack([numbers(mp.inverse(mp.matrix(h.tolist())).tolist()) for h in hessian])
     back = np.einsum("rnk,nkl->rnl", matrix, inverse)
     square = np.einsum("rnk,snk->rs", back, matrix)
     lack = missed - np.einsum("rnk,nk->r", back, right)
@@ -330,7 +316,7 @@ def _step(
 
 
 def _log(x: Numbers, weight: Any) -> Any:
-    """Gradient (N, 3) and Hessian (N, 3, 3) of -weight sum log det x; None outside the cones."""
+    """Differentiate -weight sum log det x, a `Barrier`."""
     flipped = x * FLIP  # half the gradient of det
     det = (x * flipped).sum(axis=1)[:, None]
     if not ((x[:, 0] > 0) & (det[:, 0] > 0)).all():
@@ -342,7 +328,7 @@ def _log(x: Numbers, weight: Any) -> Any:
 
 
 def _phi(x: Numbers, weight: Any) -> Any:
-    """The same of weight sum (1 / u + 2 u / det x)."""
+    """Differentiate weight sum (1 / u + 2 u / det x), a `Barrier`."""
     flipped = x * FLIP
     up = np.array([1, 0, 0], dtype=object) + 0 * x
     det = (x * flipped).sum(axis=1)[:, None]
@@ -360,5 +346,5 @@ def _phi(x: Numbers, weight: Any) -> Any:
 
 
 def _outer(a: Numbers, b: Numbers) -> Numbers:
-    """(N, 3, 3) products of (N, 3)."""
+    """Return the products (N, 3, 3) of (N, 3)."""
     return a[:, :, None] * b[:, None]

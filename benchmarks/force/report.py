@@ -16,7 +16,7 @@ from training.evaluation.results.table import Rows, numbers, pd
 from training.evaluation.results.words import number
 
 CELL = ["objective", "case", "mode"]
-"""Columns that define a cell: entrants are compared on equal problems in the same mode."""
+"""Columns that define a cell, within which entrants are compared."""
 COUNTS = ["solved", "solved_coarse", "proved", "wrong"]
 SHIFT = 1.0
 """Shift of the geometric mean [us]."""
@@ -31,44 +31,38 @@ def standings(rows: Rows) -> Rows:
 
     Returns:
         n, solved_coarse, solved, proved, wrong: numbers of problems; p50, p99, max [us] over the
-        solved ones; mean [us], the geometric mean
-        shifted by `SHIFT` with `PENALTY` for failures; p50_ratio and p99_ratio to the best entrant
-        of the cell and language with their
-        bootstrap intervals (_low, _high); first: the metrics (success, p50, p99) in which no other
-        entrant is better, ties included.
+        solved ones; mean [us]: the geometric mean shifted by `SHIFT` with `PENALTY` for failures;
+        p50_ratio and p99_ratio to the best entrant of the cell and language with bootstrap
+        intervals (_low, _high); first: the metrics (success, p50, p99) in which no other entrant is
+        better, ties included.
     """
     ran = _ran(rows)
     out = []
-    for key, cell in ran.groupby([*CELL, "language"], sort=False):
-        times = {str(name): _by_problem(part) for name, part in cell.groupby("method", sort=False)}
-        made = _standings(cell)
-        most = max(row["solved"] for row in made)
-        whole = [row for row in made if row["solved"] == most]
+    groups = [*CELL, "language"]
+    for key, cell in ran.groupby(groups, sort=False):
+        times = {str(name): _by_problem(runs) for name, runs in cell.groupby("method", sort=False)}
+        entrants = _standings(cell)
+        most = max(row["solved"] for row in entrants)
+        whole = [row for row in entrants if row["solved"] == most]
         for name, percent in (("p50", 50.0), ("p99", 99.0)):
             best = min(whole, key=lambda row, name=name: row[name])["method"] if most else ""
-            for row in made:
+            for row in entrants:
                 ratio, low, high = (
                     _ratio(times[row["method"]], times[best], percent)
                     if most and row["solved"]
                     else (np.nan,) * 3
                 )
                 row |= {f"{name}_ratio": ratio, f"{name}_low": low, f"{name}_high": high}
-        for row in made:
-            good = row["solved"] == most
-            won = {
-                "success": good,
-                "p50": good and row["p50_low"] <= 1.0,
-                "p99": good and row["p99_low"] <= 1.0,
-            }
-            row["first"] = ", ".join(name for name, yes in won.items() if yes)
-            out.append(dict(zip([*CELL, "language"], key, strict=True)) | row)
-    made = pd.DataFrame(out).sort_values("mean", kind="stable")
-    order = {
-        column: {value: k for k, value in enumerate(ran[column].unique())}
-        for column in [*CELL, "language"]
-    }
-    return made.sort_values(
-        list(order), kind="stable", key=lambda series: series.map(order[str(series.name)])
+        for row in entrants:
+            first = []
+            if row["solved"] == most:
+                first = ["success", *(p for p in ("p50", "p99") if row[f"{p}_low"] <= 1.0)]
+            out.append(dict(zip(groups, key, strict=True)) | row | {"first": ", ".join(first)})
+    order = {column: {v: k for k, v in enumerate(ran[column].unique())} for column in groups}
+    return (
+        pd.DataFrame(out)
+        .sort_values("mean", kind="stable")
+        .sort_values(groups, kind="stable", key=lambda column: column.map(order[str(column.name)]))
     )
 
 
@@ -87,8 +81,8 @@ def lines(rows: Rows, unit: float) -> Iterator[str]:
         "many",
         "first",
     ]
-    made = standings(rows).assign(units=lambda table: table["p50"] / unit)
-    for key, cell in made.groupby(CELL, sort=False):
+    standing_rows = standings(rows).assign(units=lambda table: table["p50"] / unit)
+    for key, cell in standing_rows.groupby(CELL, sort=False):
         yield ", ".join(key)
         yield cell.set_index(["language", "method"])[shown].to_string(float_format=number) + "\n"
     control = rows[rows["method"] == "empty"]["microseconds"].median()
@@ -97,9 +91,7 @@ def lines(rows: Rows, unit: float) -> Iterator[str]:
 
 
 def answers(rows: Rows) -> Iterator[str]:
-    """Yield the numbers of correct results of each entrant, its errors, and the tracks that it does
-    not enter.
-    """
+    """Yield each entrant's numbers of correct results, its errors, and the tracks it is not in."""
     ran = _ran(rows)
     groups = ran.groupby(["method", "objective", "case", "mode"], sort=False)
     if len(ran):
@@ -111,29 +103,31 @@ def answers(rows: Rows) -> Iterator[str]:
             .to_string()
         )
     failed = ran[ran["status"] == "failed"]
-    for method, part in failed.groupby("method", sort=False):
-        said = part["detail"].dropna().tolist() if "detail" in part else []
-        where = "; ".join(
+    for method, runs in failed.groupby("method", sort=False):
+        errors = runs["detail"].dropna().tolist() if "detail" in runs else []
+        sessions = "; ".join(
             f"{case}, session {event}"
-            for case, event in part[["case", "event"]].drop_duplicates().to_numpy()[:6]
+            for case, event in runs[["case", "event"]].drop_duplicates().to_numpy()[:6]
         )
-        yield f"{method} failed {len(part)} times ({where}){f': {said[0]}' if len(said) else ''}"
+        yield f"{method} failed {len(runs)} times ({sessions}){f': {errors[0]}' if errors else ''}"
     yield from _absent(rows)
 
 
 def beside(rows: Rows, earlier: Rows) -> Rows:
-    """Return the medians of two runs by entrant and cell: `before`, `now`, their ratio and its
-    interval; `tie` if it contains 1.
+    """Return the medians of two runs by entrant and cell.
+
+    Columns are `before`, `now`, their ratio and its interval, and `tie` if it contains 1.
     """
     out = []
-    before = dict(iter(_ran(earlier).groupby([*CELL, "language", "method"])))
-    for key, part in _ran(rows).groupby([*CELL, "language", "method"], sort=False):
+    groups = [*CELL, "language", "method"]
+    before = dict(iter(_ran(earlier).groupby(groups)))
+    for key, runs in _ran(rows).groupby(groups, sort=False):
         if key in before:
-            now = _by_problem(part)
+            now = _by_problem(runs)
             then = _by_problem(before[key])
             ratio, low, high = _ratio(now, then, 50.0)
             out.append(
-                dict(zip([*CELL, "language", "method"], key, strict=True))
+                dict(zip(groups, key, strict=True))
                 | {
                     "before": np.nanmedian(list(then.values())),
                     "now": np.nanmedian(list(now.values())),
@@ -147,9 +141,7 @@ def beside(rows: Rows, earlier: Rows) -> Rows:
 
 
 def by_track(rows: Rows, objective: str, ours: set[str]) -> Rows:
-    """Return a row for each track and mode: ours and the fastest other entrant of the closed
-    division, p50 / p99 [us], in C and from Python.
-    """
+    """Return p50 / p99 [us] of ours and of the fastest other closed entrant by track and mode."""
     ran = _ran(rows[rows["division"].ne("learned").fillna(True)])
     out = []
     for (case, mode), cell in ran[ran["objective"] == objective].groupby(
@@ -157,22 +149,22 @@ def by_track(rows: Rows, objective: str, ours: set[str]) -> Rows:
     ):
         line = {"track": case, "mode": mode}
         for language in ("C", "Python"):
-            made = _standings(cell[cell["language"] == language])
+            entrants = _standings(cell[cell["language"] == language])
             for label, mine in (("ours", True), ("fastest other", False)):
                 line[f"{label}, {language}"] = _fastest(
-                    [row for row in made if (row["method"] in ours) == mine]
+                    [row for row in entrants if (row["method"] in ours) == mine]
                 )
         out.append(line)
     return pd.DataFrame(out)
 
 
 def by_entrant(rows: Rows, descriptions: dict[str, Any]) -> Rows:
-    """Return a row for each entrant and objective: numbers of solved problems, and its notes."""
-    ran = _ran(rows)
+    """Return the numbers of solved problems and the notes of each entrant by objective."""
     out = []
-    for (objective, method), part in ran.groupby(["objective", "method"], sort=False):
-        row = _standing(method, part)
-        seconds = descriptions.get(str(method), {}).get("training_seconds")
+    for (objective, method), runs in _ran(rows).groupby(["objective", "method"], sort=False):
+        row = _standing(method, runs)
+        about = descriptions.get(str(method), {})
+        seconds = about.get("training_seconds")
         division = row["division"] + (f", trained {number(seconds)} s" if seconds else "")
         out.append(
             {
@@ -183,62 +175,54 @@ def by_entrant(rows: Rows, descriptions: dict[str, Any]) -> Rows:
                 "to 1e-4": row["solved_coarse"],
                 "proved": row["proved"],
                 "wrong": row["wrong"],
-                "tracks": part["case"].nunique(),
-                "settings": descriptions.get(str(method), {}).get("note", ""),
+                "tracks": runs["case"].nunique(),
+                "settings": about.get("note", ""),
             }
         )
     return pd.DataFrame(out)
 
 
 def by_contacts(rows: Rows) -> Rows:
-    """Return p50 / p99 [us] by the number of contacts for `sum` on the track `random`, of each
-    entrant that solves it.
-    """
+    """Return p50 / p99 [us] by number of contacts of the solvers of `sum` on the track `random`."""
     ran = _ran(rows)
     ran = ran[(ran["case"] == "random") & (ran["objective"] == "sum")]
     ran = ran[ran.groupby("method")["solved"].transform("mean") > 0.9]
     ran = ran[ran["solved"].astype(bool)]
     cells = ran.groupby(["language", "method", "event"], sort=False)
-    made: Rows = pd.Series(
-        {key: pair_of(numbers(part, "microseconds")) for key, part in cells}
+    table: Rows = pd.Series(
+        {key: pair_of(numbers(runs, "microseconds")) for key, runs in cells}
     ).unstack()
     order = ran.groupby("method")["microseconds"].median()
-    shown = [event for event in ("3", "4", "5", "6", "8", "12", "16") if event in made.columns]
-    made = (
-        made[shown]
+    counts = [event for event in ("3", "4", "5", "6", "8", "12", "16") if event in table.columns]
+    return (
+        table[counts]
         .rename(columns=lambda n: f"N = {n}")
         .reset_index(names=["called from", "entrant"])
+        .sort_values("entrant", key=lambda names: names.map(order), kind="stable")
+        .sort_values("called from", kind="stable")
     )
-    return made.sort_values(
-        "entrant", key=lambda names: names.map(order), kind="stable"
-    ).sort_values("called from", kind="stable")
 
 
 def profiles(rows: Rows) -> Figure:
-    """Draw profiles of Dolan and More (2002): the share of problems solved within a factor of the
-    best, in time and in iterations.
-    """
+    """Draw the profiles of Dolan and More (2002) in time and in iterations; see `profile`."""
     ran = _ran(rows)
     objectives = list(ran["objective"].unique())
     figure = Figure(figsize=(9.0, 3.6 * max(len(objectives), 1)), layout="constrained")
     axes = figure.subplots(max(len(objectives), 1), 2, squeeze=False, sharey=True)
     colours = {name: colormaps["tab20"](k % 20) for k, name in enumerate(ran["method"].unique())}
     for row, objective in zip(axes, objectives, strict=False):
-        of = ran[ran["objective"] == objective]
+        runs = ran[ran["objective"] == objective]
         for ax, column, most in zip(row, ("microseconds", "iterations"), (4, 2), strict=True):
             within = np.geomspace(1.0, 10.0**most, POINTS)
-            for language, part in of.groupby("language", sort=False):
-                style, called = ("--", " (C)") if language == "C" else ("-", "")
-                for name, (factor, share) in profile(
-                    part if column == "microseconds" else of, column
-                ).items():
-                    if name in part["method"].unique():
-                        reached = np.append(0.0, share)[
-                            np.searchsorted(factor, within * (1.0 + 1e-12), side="right")
-                        ]
-                        ax.plot(
-                            within, reached, style, label=f"{name}{called}", color=colours[name]
-                        )
+            for language, called in runs.groupby("language", sort=False):
+                style, suffix = ("--", " (C)") if language == "C" else ("-", "")
+                compared = called if column == "microseconds" else runs
+                for name, (factor, share) in profile(compared, column).items():
+                    if name in called["method"].unique():
+                        index = np.searchsorted(factor, within * (1.0 + 1e-12), side="right")
+                        reached = np.append(0.0, share)[index]
+                        label = f"{name}{suffix}"
+                        ax.plot(within, reached, style, label=label, color=colours[name])
             ax.set(
                 xscale="log",
                 xlim=(1.0, within[-1]),
@@ -246,20 +230,15 @@ def profiles(rows: Rows) -> Figure:
                 title=f"{objective}: {column}",
             )
             decades(ax.xaxis, 0, most)
-            ax.set_xlabel(
-                "factor of the best in C or from Python"
-                if column == "microseconds"
-                else "factor of the best"
-            )
+            callers = " in C or from Python" if column == "microseconds" else ""
+            ax.set_xlabel(f"factor of the best{callers}")
         row[0].set_ylabel("share of the problems solved")
         row[1].legend(fontsize=7.5, loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure
 
 
 def profile(rows: Rows, column: str) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Return by entrant the factors of the best and the share of all problems solved within them;
-    tracks not entered are not solved.
-    """
+    """Return by entrant factors of the best and the share of all problems solved within them."""
     ran = _ran(rows)
     if column not in ran:
         return {}
@@ -272,12 +251,12 @@ def profile(rows: Rows, column: str) -> dict[str, tuple[np.ndarray, np.ndarray]]
         table = table.clip(lower=1.0)
     factors = table.div(table.min(axis=1), axis=0)
     total = len(ran[keys].drop_duplicates())
-    each = {str(name): np.sort(factors[name].dropna().to_numpy()) for name in factors.columns}
-    return {
-        name: (found, np.arange(1, len(found) + 1) / total)
-        for name, found in each.items()
-        if len(found)
-    }
+    curves = {}
+    for name in factors.columns:
+        solved = np.sort(factors[name].dropna().to_numpy())
+        if len(solved):
+            curves[str(name)] = solved, np.arange(1, len(solved) + 1) / total
+    return curves
 
 
 def _ran(rows: Rows) -> Rows:
@@ -287,47 +266,43 @@ def _ran(rows: Rows) -> Rows:
 
 def _absent(rows: Rows) -> Iterator[str]:
     if "reason" in rows:
-        for (name, reason), part in rows[rows["reason"].notna()].groupby(
-            ["method", "reason"], sort=False
-        ):
-            yield f"{name} did not enter {', '.join(part['case'].unique())}: {reason}"
+        absent = rows[rows["reason"].notna()].groupby(["method", "reason"], sort=False)
+        for (name, reason), cells in absent:
+            yield f"{name} did not enter {', '.join(cells['case'].unique())}: {reason}"
 
 
-def _fastest(made: list[dict[str, Any]]) -> str:
-    """Return p50 / p99 of the fastest entrant that solves most problems, with its name and its
-    number of failures.
-    """
-    most = max((row["solved"] for row in made), default=0)
+def _fastest(entrants: list[dict[str, Any]]) -> str:
+    """Return p50 / p99 and name of the fastest of those that solve most problems."""
+    most = max((row["solved"] for row in entrants), default=0)
     if not most:
         return "–"
-    row = min((row for row in made if row["solved"] == most), key=lambda row: row["p50"])
+    row = min((row for row in entrants if row["solved"] == most), key=lambda row: row["p50"])
     failed = "" if row["solved"] == row["n"] else f", {row['solved']} of {row['n']}"
     return f"{number(row['p50'])} / {number(row['p99'])} ({row['method']}{failed})"
 
 
 def pair_of(times: np.ndarray) -> str:
     """Return median / 99th percentile of times [us]."""
-    return " / ".join(number(float(each)) for each in np.percentile(times, [50.0, 99.0]))
+    return " / ".join(number(float(time)) for time in np.percentile(times, [50.0, 99.0]))
 
 
 def _standings(cell: Rows) -> list[dict[str, Any]]:
-    return [_standing(name, part) for name, part in cell.groupby("method", sort=False)]
+    return [_standing(name, runs) for name, runs in cell.groupby("method", sort=False)]
 
 
-def _standing(name: Any, part: Rows) -> dict[str, Any]:
-    good = part["solved"].astype(bool).to_numpy()
-    times = numbers(part, "microseconds")
+def _standing(name: Any, runs: Rows) -> dict[str, Any]:
+    good = runs["solved"].astype(bool).to_numpy()
+    times = numbers(runs, "microseconds")
     solved = times[good]
     mean = np.exp(np.log(np.where(good, times, np.maximum(times, PENALTY)) + SHIFT).mean()) - SHIFT
     p50, p99, most = np.percentile(solved, [50.0, 99.0, 100.0]) if len(solved) else (np.nan,) * 3
-    counts = {column: int(part[column].sum()) for column in COUNTS}
-    many = numbers(part, "many_microseconds") if "many_microseconds" in part else np.array([np.nan])
+    many = numbers(runs, "many_microseconds") if "many_microseconds" in runs else np.array([np.nan])
     return {
         "many": float(np.nanmedian(many)) if np.isfinite(many).any() else np.nan,
         "method": str(name),
-        "division": part["division"].iloc[0],
-        "n": len(part),
-        **counts,
+        "division": runs["division"].iloc[0],
+        "n": len(runs),
+        **{column: int(runs[column].sum()) for column in COUNTS},
         "p50": p50,
         "p99": p99,
         "max": most,
@@ -335,24 +310,17 @@ def _standing(name: Any, part: Rows) -> dict[str, Any]:
     }
 
 
-def _by_problem(part: Rows) -> dict[Any, float]:
+def _by_problem(runs: Rows) -> dict[Any, float]:
     """Return the times of the solved problems."""
-    solved = part[part["solved"].astype(bool)]
-    return dict(
-        zip(
-            zip(solved["event"], solved["problem"], strict=True),
-            numbers(solved, "microseconds"),
-            strict=True,
-        )
-    )
+    solved = runs[runs["solved"].astype(bool)]
+    keys = zip(solved["event"], solved["problem"], strict=True)
+    return dict(zip(keys, numbers(solved, "microseconds"), strict=True))
 
 
 def _ratio(
     mine: dict[Any, float], other: dict[Any, float], percent: float
 ) -> tuple[float, float, float]:
-    """Return the ratio of percentiles on the problems that both solve, with its paired bootstrap
-    interval.
-    """
+    """Return the ratio of percentiles where both solve, with its paired bootstrap interval."""
     both = [key for key in mine if key in other]
     if not both:
         return np.nan, np.nan, np.nan

@@ -1,4 +1,4 @@
-"""Runs of entrants on tracks: they take turns, and the time of a problem is the least of its calls."""
+"""Runs of entrants on tracks in turns; the time of a problem is the least of its calls."""
 
 from __future__ import annotations
 
@@ -35,12 +35,10 @@ class Effort:
     """Amount of timing.
 
     Attributes:
-        rounds: rounds in which the entrants take turns, with one or more passes each, so that a
-            busy moment affects all alike.
+        rounds: rounds in which the entrants take turns, so that a busy moment affects all alike.
         seconds: time for further passes of an entrant in a round.
         passes: largest number of passes in a round.
-        sessions, problems: largest numbers of sessions of a track and of problems of a session;
-        None: all.
+        sessions, problems: largest numbers per track and per session; None: all.
     """
 
     rounds: int = 2
@@ -52,8 +50,7 @@ class Effort:
 
 QUICK = Effort(rounds=1, seconds=0.02, passes=3, sessions=3, problems=4)
 SAME = 1e-9
-"""Largest difference of equal results of two passes, relative to the largest force; they are scored
-once."""
+"""Largest difference of results that count as equal, relative to the largest force."""
 
 
 class Timed:
@@ -62,10 +59,10 @@ class Timed:
     Args:
         solver: the entrant.
         task: argument of its `setup`.
-        problems: its own copies of the session's problems.
+        problems: copies of the session's problems for this entrant.
 
     Attributes:
-        answers: different results of all passes for each problem; all of them are scored.
+        answers: distinct results of all passes for each problem; all of them are scored.
         iterations: iterations of the first pass, nan if unknown.
         seconds: (M,) least time of all passes.
         calls: number of passes.
@@ -77,10 +74,8 @@ class Timed:
         self.task = task
         self.problems = problems
         self.answers: list[list[Parts]] = [[] for _ in problems]
-        self.iterations, self.seconds = (
-            np.full(len(problems), np.nan),
-            np.full(len(problems), np.inf),
-        )
+        self.iterations = np.full(len(problems), np.nan)
+        self.seconds = np.full(len(problems), np.inf)
         self.calls = 0
         self.many: tuple[list[Parts], float] | None = None
         self._pass = self._in_python
@@ -90,7 +85,7 @@ class Timed:
         solver.setup(task)
 
     def passes(self, count: int) -> float:
-        """Make passes over the problems in their order; returns the seconds that they took."""
+        """Make passes over the problems in their order; return the seconds that they took."""
         began = time.perf_counter()
         for _ in range(count):
             self._pass()
@@ -101,7 +96,7 @@ class Timed:
         return taken
 
     def _keep(self, m: int, answer: Parts, iterations: float) -> None:
-        """Keep an answer that differs from those before it."""
+        """Keep an answer that differs from the earlier ones."""
         kept = self.answers[m]
         if not kept:
             self.iterations[m] = iterations
@@ -130,70 +125,58 @@ class Timed:
             if m < 0:
                 continue
             self.seconds[m] = min(self.seconds[m], taken)
-            made = parts_of(problem, answer)
-            start = (
-                made.force.copy()
-                if warm and made.force is not None and made.status == "solved"
-                else None
-            )
-            self._keep(m, made, getattr(self.solver, "iterations", np.nan))
+            parts = parts_of(problem, answer)
+            start = None
+            if warm and parts.force is not None and parts.status == "solved":
+                start = parts.force.copy()
+            self._keep(m, parts, getattr(self.solver, "iterations", np.nan))
 
     def _in_c(self) -> None:
         compiled = self.solver.compiled()
         n = len(self.problems)
         first = self.problems[0]
         views = (CProblem * n)(*map(CProblem.of, self.problems))
-        forces, multipliers = (
-            np.full((n, size), np.nan)
-            for size in (first.matrix.shape[1], 6 + len(first.limit_bound))
-        )
+        forces = np.full((n, first.matrix.shape[1]), np.nan)
+        multipliers = np.full((n, 6 + len(first.limit_bound)), np.nan)
         statuses = np.zeros(n, np.int32)
         iterations = np.full(n, -1, np.int32)
         seconds = np.empty(n)
         cold = self.task.mode == "cold"
+        calls = (
+            compiled.solve,
+            compiled.context,
+            compiled.setup * cold,
+            compiled.close * cold,
+        )
+        results = (forces, multipliers, statuses, iterations, seconds)
         timer().force_times(
-            *(
-                ctypes.c_void_p(at or None)
-                for at in (
-                    compiled.solve,
-                    compiled.context,
-                    compiled.setup * cold,
-                    compiled.close * cold,
-                )
-            ),
+            *(ctypes.c_void_p(address or None) for address in calls),
             self.task.objective.encode(),
             views,
             n,
             int(self.task.mode == "warm"),
-            *(
-                ctypes.c_void_p(array.ctypes.data)
-                for array in (forces, multipliers, statuses, iterations, seconds)
-            ),
+            *(ctypes.c_void_p(array.ctypes.data) for array in results),
         )
         self.seconds = np.minimum(self.seconds, seconds)
         for m, problem in enumerate(self.problems):
-            prices = None if np.isnan(multipliers[m]).any() else multipliers[m]
+            proof = None if np.isnan(multipliers[m]).any() else multipliers[m]
             steps = np.nan if iterations[m] < 0 else float(iterations[m])
-            self._keep(
-                m, parts_of(problem, (forces[m], prices, status_of(int(statuses[m])))), steps
-            )
+            answer = forces[m], proof, status_of(int(statuses[m]))
+            self._keep(m, parts_of(problem, answer), steps)
 
     def _all_at_once(self) -> None:
         began = time.perf_counter()
         try:
             answers = self.solver.solve_many(self.problems)
             taken = (time.perf_counter() - began) / len(self.problems)
-            made = [
-                parts_of(problem, answer)
-                for problem, answer in zip(self.problems, answers, strict=True)
-            ]
+            parts = [parts_of(*pair) for pair in zip(self.problems, answers, strict=True)]
         except Exception:  # such as NotImplementedError: this batch is not supported
             return
-        self.many = made, min(taken, self.many[1] if self.many else np.inf)
+        self.many = parts, min(taken, self.many[1] if self.many else np.inf)
 
 
 def same(one: Parts, other: Parts) -> bool:
-    """True if two answers to a problem are equal up to `SAME`."""
+    """Return True if two answers to a problem are equal up to `SAME`."""
     if one.status != other.status or (one.force is None) != (other.force is None):
         return False
     if one.force is None or other.force is None:
@@ -202,7 +185,7 @@ def same(one: Parts, other: Parts) -> bool:
 
 
 class Empty:
-    """The control: returns the same zeros for every problem; its time is that of the call."""
+    """The control, which returns the same zeros for every problem."""
 
     name, note = "empty", "an empty call, the control"
 
@@ -211,15 +194,20 @@ class Empty:
         self._zeros = np.zeros(task.first.matrix.shape[1])
 
     def solve(self, problem: Problem, start: Array | None = None) -> Array:
-        """The zeros."""
+        """Return the zeros."""
         return self._zeros
 
 
 def entrants(chosen: Sequence[str]) -> dict[str, Callable[[], Entrant]]:
-    """Entrants by name: those of `ENTRANTS`, FILE.py:CLASS, or FILE.so:FUNCTION; others are a
-    `ValueError`.
+    """Return the constructors of entrants by name.
+
+    Args:
+        chosen: names of `ENTRANTS`, FILE.py:CLASS, or FILE.so:FUNCTION.
+
+    Raises:
+        ValueError: there is no such entrant, or two have one name.
     """
-    made: dict[str, Callable[[], Any]] = {}
+    makers: dict[str, Callable[[], Any]] = {}
     for spec in chosen:
         where, _, what = ENTRANTS.get(spec, spec).rpartition(":")
         if not where:
@@ -235,19 +223,17 @@ def entrants(chosen: Sequence[str]) -> dict[str, Callable[[], Entrant]]:
             make = getattr(_module(where), what, None)
             if make is None:
                 raise ValueError(f"{where} has no {what}: give FILE.py:CLASS")
-            if lacking := [
-                each for each in ("setup", "solve") if not callable(getattr(make, each, None))
-            ]:
+            if lacking := [m for m in ("setup", "solve") if not callable(getattr(make, m, None))]:
                 raise ValueError(
                     f"{spec} has no {' and no '.join(lacking)}: see Entrant in benchmarks/force/entrant.py"
                 )
             name = spec if spec in ENTRANTS else getattr(make, "name", what)
-        if name in (*made, Empty.name):
+        if name in (*makers, Empty.name):
             raise ValueError(
                 f"two entrants are called {name!r}: give {spec} another name, or leave the other out by --against"
             )
-        made[name] = make
-    return made
+        makers[name] = make
+    return makers
 
 
 def measured(
@@ -260,15 +246,14 @@ def measured(
 
     Returns:
         A row for each entrant, objective, mode and problem, and one with a `reason` if an entrant
-        does not take part in a track;
-        and the notes of the entrants.
+        does not take part in a track; and the notes of the entrants.
     """
     rows: Rows = []
     descriptions: dict[str, dict[str, Any]] = {}
     cells = (
-        (track, *each)
+        (track, *cell)
         for track in tracks
-        for each in product(track.about["objectives"], track.about["modes"])
+        for cell in product(track.about["objectives"], track.about["modes"])
     )
     for track, objective, mode in cells:
         key = {"case": track.name, "objective": objective, "mode": mode}
@@ -281,36 +266,33 @@ def measured(
             try:
                 ready[name] = []
                 for session in sessions:
-                    problems = session.made()[: effort.problems]
-                    ready[name].append(
-                        Timed(make(), Task(track.name, objective, mode, problems[0]), problems)
-                    )
+                    problems = session.copies()[: effort.problems]
+                    task = Task(track.name, objective, mode, problems[0])
+                    ready[name].append(Timed(make(), task, problems))
             except Exception as error:  # other entrants continue
                 del ready[name]
                 known = isinstance(error, ImportError | NotImplementedError)
                 reason = f"{'' if known else f'its setup failed: {type(error).__name__}: '}{error}"
                 rows.append(key | {"method": name, "reason": reason[:300]})
         _take_turns(ready, effort, lambda text, track=track: tell(f"{track.name}: {text}"))
-        for name, each in ready.items():
-            solver = each[0].solver
-            descriptions[name] = {
-                which: getattr(solver, which)
-                for which in ("note", "training_seconds")
-                if hasattr(solver, which)
-            }
+        for name, timed_sessions in ready.items():
+            solver = timed_sessions[0].solver
+            noted = [a for a in ("note", "training_seconds") if hasattr(solver, a)]
+            descriptions[name] = {a: getattr(solver, a) for a in noted}
             key |= {
                 "method": name,
                 "division": getattr(solver, "division", "closed"),
                 "language": "C" if hasattr(solver, "compiled") else "Python",
             }
-            for session, timed in zip(sessions, each, strict=True):
+            for session, timed in zip(sessions, timed_sessions, strict=True):
                 rows += [key | row for row in _scored(session, timed)]
     return rows, descriptions
 
 
 def unit() -> float:
-    """Return the unit for comparing machines: median of 30 cold solves of the README's first
-    problem by SciPy's SLSQP [us].
+    """Return the unit for comparing machines [us].
+
+    It is the median of 30 cold solves of the README's first problem by SciPy's SLSQP.
     """
     slsqp = entrants(["slsqp"])["slsqp"]()
     problem = problem_of(presets.paper_cuboid(), [1.0, 0.5, -0.6, -0.1, 0.2, 0.0])
@@ -325,21 +307,21 @@ def unit() -> float:
 
 @cache
 def timer() -> Any:
-    """The clock in C, compiled once, or a `RuntimeError` without a compiler."""
+    """Return the clock in C, compiled once; a `RuntimeError` says that there is no compiler."""
     return ctypes.CDLL(str(library("timer", [HERE / "timer.c"], ["-O2"], (HERE / "force.h",))))
 
 
 def _take_turns(ready: dict[str, list[Timed]], effort: Effort, tell: Callable[[str], None]) -> None:
-    """Passes of all entrants in turn, without garbage collection."""
+    """Make passes of all entrants in turn, without garbage collection."""
     gc.collect()
     gc.disable()
     try:
         for turn in range(effort.rounds):
-            for name, each in ready.items():
+            for name, timed_sessions in ready.items():
                 tell(f"round {turn + 1} of {effort.rounds}: {name}")
-                taken = sum(timed.passes(1) for timed in each)
+                taken = sum(timed.passes(1) for timed in timed_sessions)
                 more = int(np.clip(effort.seconds / max(taken, 1e-9), 0, effort.passes - 1))
-                for timed in each if more else ():
+                for timed in timed_sessions if more else ():
                     timed.passes(more)
     finally:
         gc.enable()
@@ -349,7 +331,7 @@ def _scored(session: Session, timed: Timed) -> Iterator[dict[str, Any]]:
     objective = timed.task.objective
     best = session.references[objective].value.tolist()
     for m, (problem, answers) in enumerate(zip(session.problems, timed.answers, strict=False)):
-        found = [score(problem, objective, best[m], answer) for answer in answers]
+        scores = [score(problem, objective, best[m], answer) for answer in answers]
         row = {
             "event": session.name,
             "problem": m,
@@ -357,14 +339,9 @@ def _scored(session: Session, timed: Timed) -> Iterator[dict[str, Any]]:
             "iterations": timed.iterations[m],
             "calls": timed.calls,
         }
-        if (
-            timed.many is not None
-            and score(problem, objective, best[m], timed.many[0][m])["solved"]
-        ):
+        if timed.many and score(problem, objective, best[m], timed.many[0][m])["solved"]:
             row["many_microseconds"] = 1e6 * timed.many[1]
-        yield row | min(
-            found, key=lambda each: (each["solved"], each["solved_coarse"], each["proved"])
-        )
+        yield row | min(scores, key=lambda s: (s["solved"], s["solved_coarse"], s["proved"]))
 
 
 def _module(where: str) -> Any:

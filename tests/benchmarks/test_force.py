@@ -68,7 +68,7 @@ def test_sessions_of_one_description_are_told_apart(tmp_path):
     ("change", "words"),
     [
         ({"sha256": "0" * 64}, r"does not hold the problems of soft\.json"),
-        ({"schema": 9}, "has schema 9, this version reads 1"),
+        ({"schema": 9}, "file has schema 9; this version reads schema 1; make it again"),
         ({"modes": ["hot"]}, r"its modes are \['hot'\], known are cold, persistent, warm"),
         (None, r"soft\.json lacks modes, objectives, sessions, sha256"),
     ],

@@ -1,10 +1,9 @@
-"""The conic forms of the problem that a careful user hands to an interior-point solver, and what
-their entrants share.
+"""The conic forms of the problem for interior-point solvers.
 
     min c . x   s.t.  sides - rows x in {0}^equations x R+^nonneg x SOC(cones[0]) x SOC(cones[1])
     ...
 
-`Dual` serves the sum of the normal forces, `Primal` the same sum where limits outnumber the forces,
+`Dual` serves the sum of the normal forces, `Primal` the same where limits outnumber the forces, and
 `Barrier` phi.
 """
 
@@ -21,8 +20,7 @@ from benchmarks.force.entrant import Answer, Task
 from benchmarks.force.problems import BARRIER_WEIGHT, Array, Problem
 
 SIZE = 30.0
-"""Length of the wrench that solvers are given for the sum, which scales with it: their tolerances
-are partly absolute."""
+"""Length to which the wrench is scaled for the sum: tolerances of solvers are partly absolute."""
 Mask = NDArray[np.bool_]
 
 
@@ -32,9 +30,9 @@ class Form:
     Attributes:
         c: (n,) costs.
         rows, sides: (m, n) dense and (m,), in the order equations, nonnegative rows, cones.
-        pattern: (m, n) which numbers may become nonzero in the session.
-        equations, nonneg, cones: sizes of the parts.
-        in_cost: whether the wrench is part of c; else it is part of `sides`.
+        pattern: (m, n) True where a number may become nonzero in the session.
+        equations, nonneg, cones: numbers of rows.
+        in_cost: True if the wrench is in c, False if it is in `sides`.
     """
 
     c: Array
@@ -52,11 +50,10 @@ class Form:
         self._make(problem)
 
     def update(self, problem: Problem) -> str:
-        """Take the numbers of another problem of the session, and says what has changed.
+        """Load the next problem and return what changed.
 
         Returns:
-            "wrench" alone; "numbers" of any kind; or "pattern", after which a solver must be set up
-            again.
+            "wrench" alone, "numbers" of any kind, or "pattern", which needs a new set-up.
         """
         moved = problem.differs(self._of)
         self._of = problem
@@ -71,42 +68,37 @@ class Form:
         return "numbers" if moved else "wrench"
 
     def answer(self, x: Array, z: Array, status: str) -> Answer:
-        """The answer to the problem in a solver's variables x and multipliers z; a certificate in
-        their place is a witness.
-        """
+        """Convert a solver's x and z, which may be a certificate of infeasibility, to an answer."""
         if status == "infeasible":
             return None, self._witness(x, z), status
         return *self._read(x, z), status
 
     def halves(self) -> tuple[Numbers | None, Numbers]:
-        """The equations, where there are any, and the other rows as sparse matrices."""
+        """Return the equations, if there are any, and the other rows as sparse matrices."""
         p = self.equations
-        return Numbers(self.rows[:p], self.pattern[:p]) if p else None, Numbers(
-            self.rows[p:], self.pattern[p:]
-        )
+        others = Numbers(self.rows[p:], self.pattern[p:])
+        return Numbers(self.rows[:p], self.pattern[:p]) if p else None, others
 
     def joined(self, y: Array, z: Array) -> Array:
-        """The multipliers of all rows from those of the equations and of the others."""
+        """Join the multipliers of the equations and of the other rows."""
         return np.concatenate([y, z]) if self.equations else z
 
     def _make(self, problem: Problem) -> None:
-        self.pattern = (
-            self._rows(problem, np.ones_like(problem.matrix), self._limited.astype(float)) != 0.0
-        )
+        ones = np.ones_like(problem.matrix)
+        self.pattern = self._rows(problem, ones, self._limited.astype(float)) != 0.0
         self._numbers(problem)
         self._wrench(problem)
 
     def _numbers(self, problem: Problem) -> None:
-        self._touching = (
-            None if problem.touching is None else np.repeat(problem.touching, problem.width)
-        )
+        on = problem.touching
+        self._touching = None if on is None else np.repeat(on, problem.width)
         self.rows = self._rows(problem, problem.matrix, problem.limit_matrix)
 
     def _touched(self, force: Array) -> Array:
         return force if self._touching is None else force * self._touching
 
     def _size(self, problem: Problem) -> float:
-        """Factor for the forces of a solver."""
+        """Return the factor that scales a solver's forces."""
         return math.sqrt(problem.wrench @ problem.wrench) / SIZE or 1.0
 
     def _rows(self, problem: Problem, matrix: Array, limit_matrix: Array) -> Array:
@@ -137,31 +129,32 @@ class Dual(Form):
     def _make(self, problem: Problem) -> None:
         n = problem.n_contacts
         limits = len(problem.limit_bound)
-        soft = problem.n_contacts * (problem.width == 4)
+        soft = n * (problem.width == 4)
         self.nonneg = 2 * soft + limits
         self.cones = [3] * n
-        self._prices = 6 + limits
+        self._end = 6 + limits  # of the multipliers
         self.c, self.sides = np.zeros(6 + limits + soft), np.zeros(self.nonneg + 3 * n)
         super()._make(problem)
 
     def _rows(self, problem: Problem, matrix: Array, limit_matrix: Array) -> Array:
-        made = np.zeros((len(self.sides), len(self.c)))
+        rows = np.zeros((len(self.sides), len(self.c)))
         n = problem.n_contacts
-        end = self._prices
+        end = self._end
         mu = problem.friction
         # c - a of each contact
         work = np.concatenate([matrix, -limit_matrix]).T.reshape(n, -1, end)
-        cones = made[self.nonneg :].reshape(n, 3, -1)
+        cones = rows[self.nonneg :].reshape(n, 3, -1)
         cones[:, :, :end] = work[:, :3]
         cones[:, 0] /= mu[:, None]
         if problem.torsional_friction is not None:
-            each = np.arange(n)
+            i = np.arange(n)
             turning = problem.torsional_friction[:, None] * work[:, 3]
-            made[:n, :end], made[n : 2 * n, :end] = -turning, turning
-            made[each, end + each] = made[n + each, end + each] = -1.0
-            cones[each, 0, end + each] = 1.0 / mu
-        made[self.nonneg - (end - 6) : self.nonneg, 6:end] = -np.eye(end - 6)
-        return made
+            rows[:n, :end] = -turning
+            rows[n : 2 * n, :end] = turning
+            rows[i, end + i] = rows[n + i, end + i] = -1.0
+            cones[i, 0, end + i] = 1.0 / mu
+        rows[self.nonneg - (end - 6) : self.nonneg, 6:end] = -np.eye(end - 6)
+        return rows
 
     def _numbers(self, problem: Problem) -> None:
         super()._numbers(problem)
@@ -172,28 +165,27 @@ class Dual(Form):
     def _wrench(self, problem: Problem) -> None:
         self._unit = self._size(problem)
         self.c[:6] = problem.wrench / self._unit
-        if self._prices > 6:
-            self.c[6 : self._prices] = problem.limit_bound / self._unit
+        if self._end > 6:
+            self.c[6 : self._end] = problem.limit_bound / self._unit
 
     def _read(self, x: Array, z: Array) -> tuple[Array, Array]:
         n = len(self.cones)
-        if len(x) == self._prices:
+        if len(x) == self._end:
             force = z[self.nonneg :] * self._unit
             force[::3] *= self._per_normal
         else:
-            force = np.column_stack(
-                [z[self.nonneg :].reshape(n, 3), self._per_turning * (z[n : 2 * n] - z[:n])]
-            )
+            torsion = self._per_turning * (z[n : 2 * n] - z[:n])
+            force = np.column_stack([z[self.nonneg :].reshape(n, 3), torsion])
             force[:, 0] *= self._per_normal
             force *= self._unit
-        return self._touched(force.ravel()), np.array(x[: self._prices])
+        return self._touched(force.ravel()), np.array(x[: self._end])
 
     def _witness(self, x: Array, z: Array) -> Array:
-        return np.concatenate([-x[:6], x[6 : self._prices]])
+        return np.concatenate([-x[:6], x[6 : self._end]])
 
 
 class Primal(Form):
-    """The least sum of the normal forces itself; the variables are the forces."""
+    """The least sum of the normal forces; the variables are the forces."""
 
     equations = 6
 
@@ -205,71 +197,54 @@ class Primal(Form):
         self.cones = [3] * n
         self.c = np.tile(np.eye(k)[0], n)
         self.sides = np.zeros(6 + self.nonneg + 3 * n)
-        self._prices = slice(6, 6 + limits)
+        self._limits = slice(6, 6 + limits)
         super()._make(problem)
 
     def _rows(self, problem: Problem, matrix: Array, limit_matrix: Array) -> Array:
         n, k = problem.n_contacts, problem.width
-        parts = [matrix, limit_matrix]
+        rows = [matrix, limit_matrix]
         if problem.torsional_friction is not None:
-            turning = block_diag(
-                *(
-                    [[-gamma, 0, 0, sign] for sign in (1, -1)]
-                    for gamma in problem.torsional_friction
-                )
-            )
-            parts.append(np.array(turning, dtype=float))
+            blocks = ([[-g, 0, 0, 1], [-g, 0, 0, -1]] for g in problem.torsional_friction)
+            rows.append(np.array(block_diag(*blocks), dtype=float))
         cones = np.zeros((n, 3, n, k))
-        each = np.arange(n)
-        cones[each, 0, each, 0] = -problem.friction
-        cones[each, 1, each, 1] = cones[each, 2, each, 2] = -1.0
-        return np.concatenate([*parts, cones.reshape(3 * n, -1)])
+        i = np.arange(n)
+        cones[i, 0, i, 0] = -problem.friction
+        cones[i, 1, i, 1] = cones[i, 2, i, 2] = -1.0
+        return np.concatenate([*rows, cones.reshape(3 * n, -1)])
 
     def _wrench(self, problem: Problem) -> None:
         self._unit = self._size(problem)
         self.sides[:6] = problem.wrench / -self._unit
-        self.sides[self._prices] = problem.limit_bound / self._unit
+        self.sides[self._limits] = problem.limit_bound / self._unit
 
     def _read(self, x: Array, z: Array) -> tuple[Array, Array]:
-        return self._touched(x * self._unit), np.concatenate([-z[:6], z[self._prices]])
+        return self._touched(x * self._unit), np.concatenate([-z[:6], z[self._limits]])
 
     def _witness(self, x: Array, z: Array) -> Array:
-        return np.concatenate([z[:6], z[self._prices]])
+        return np.concatenate([z[:6], z[self._limits]])
 
 
-# rows of (u + r, u - r, .), (2 u - v, v, 2 o, 2 t) and (y + v, y - v, .) for (u, o, t) and for (r,
-# y, v)
-_OF_FORCE = -np.array(
-    [
-        [1.0, 0, 0],
-        [1, 0, 0],
-        [0, 0, 0],
-        [2, 0, 0],
-        [0, 0, 0],
-        [0, 2, 0],
-        [0, 0, 2],
-        *[[0, 0, 0]] * 3,
-    ]
+_CONES = -np.loadtxt(
+    """
+    1 0 0   1 0  0   # u + r
+    1 0 0  -1 0  0   # u - r
+    0 0 0   0 0  0
+    2 0 0   0 0 -1   # 2 u - v
+    0 0 0   0 0  1   # v
+    0 2 0   0 0  0   # 2 o
+    0 0 2   0 0  0   # 2 t
+    0 0 0   0 1  1   # y + v
+    0 0 0   0 1 -1   # y - v
+    0 0 0   0 0  0
+    """.splitlines()
 )
-_OF_REST = -np.array(
-    [
-        [1.0, 0, 0],
-        [-1, 0, 0],
-        [0, 0, 0],
-        [0, 0, -1],
-        [0, 0, 1],
-        *[[0, 0, 0]] * 2,
-        [0, 1, 1],
-        [0, 1, -1],
-        [0, 0, 0],
-    ]
-)
+"""Rows of the three cones of a contact, for (u, o, t) and (r, y, v)."""
 
 
 class Barrier(Form):
-    """Phi by second-order cones; the variables are (u, o, t) of all contacts, then r, y, v of each
-    with the cost 3 u + r + y.
+    """Phi by second-order cones.
 
+    The variables are (u, o, t) of all contacts, then (r, y, v), with the cost 3 u + r + y:
     r >= lambda / u where u r >= lambda, and y >= lambda 2 u / (u^2 - o^2 - t^2) where u (u - v) >=
     o^2 + t^2 and y v >= 2 lambda.
     """
@@ -281,19 +256,17 @@ class Barrier(Form):
         self.cones = [3, 4, 3] * n
         self.c = np.concatenate([np.tile([3.0, 0.0, 0.0], n), np.tile([1.0, 1.0, 0.0], n)])
         least = 2.0 * np.sqrt(BARRIER_WEIGHT)
-        each = np.eye(n)
-        self.sides = np.concatenate(
-            [np.zeros(6), np.tile([0, 0, least, 0, 0, 0, 0, 0, 0, np.sqrt(2.0) * least], n)]
-        )
-        cones = np.concatenate([np.kron(each, _OF_FORCE), np.kron(each, _OF_REST)], axis=1)
+        constants = [0, 0, least, 0, 0, 0, 0, 0, 0, np.sqrt(2.0) * least]
+        self.sides = np.concatenate([np.zeros(6), np.tile(constants, n)])
+        cones = np.hstack([np.kron(np.eye(n), half) for half in (_CONES[:, :3], _CONES[:, 3:])])
         self._constant = np.concatenate([np.zeros((6, 6 * n)), cones])
         super()._make(problem)
 
     def _rows(self, problem: Problem, matrix: Array, limit_matrix: Array) -> Array:
-        made = self._constant.copy()
-        made[:6, : matrix.shape[1]] = matrix
-        made[:6, : matrix.shape[1] : 3] /= problem.friction
-        return made
+        rows = self._constant.copy()
+        rows[:6, : matrix.shape[1]] = matrix
+        rows[:6, : matrix.shape[1] : 3] /= problem.friction
+        return rows
 
     def _numbers(self, problem: Problem) -> None:
         super()._numbers(problem)
@@ -312,7 +285,7 @@ class Barrier(Form):
 
 
 def form(problem: Problem, objective: str) -> Form:
-    """The form in which interior-point solvers are fastest.
+    """Return the form in which interior-point solvers are fastest.
 
     With 32 torque limits on four contacts `Primal` takes 0.86 to 0.93 of the time of `Dual`, with
     10 limits 1.04 to 1.2.
@@ -342,14 +315,14 @@ class Numbers:
         )
 
     def refresh(self, dense: Array) -> Array:
-        """Take the numbers of a dense matrix, and returns those of the pattern."""
+        """Return the values of a dense matrix at the pattern's entries, and store them."""
         numbers = dense[self._rows, self._columns]
         self.matrix.data[:] = numbers
         return numbers
 
 
 class Conic:
-    """The common part of entrants that are given a `Form`."""
+    """Base of entrants that take a `Form`."""
 
     form: Form
     iterations = 0
@@ -367,11 +340,9 @@ class Conic:
         return self.form.answer(*self.run(changed == "numbers"))
 
     def build(self) -> None:
-        """Set the solver up with the numbers of `form`."""
+        """Set the solver up for `form`."""
         raise NotImplementedError
 
     def run(self, moved: bool) -> tuple[Array, Array, str]:
-        """x, z and status for the numbers of `form`, of which only the wrench has changed unless
-        `moved`.
-        """
+        """Return x, z and status; unless `moved`, only the wrench of `form` has changed."""
         raise NotImplementedError

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from scipy import sparse
 
-from benchmarks.force.build import compiler, execute, made
+from benchmarks.force.build import cached, compiler, execute
 from benchmarks.force.entrant import Library, Task
 from benchmarks.force.entrants import forms
 
@@ -58,9 +58,9 @@ class Qocogen(Library):
         self.close()
         form = forms.form(task.first, task.objective)
         self.open(str(library(form, self.flags)), "qocogen")
-        parts = np.split(form.pattern, [form.equations])
+        blocks = np.split(form.pattern, [form.equations])
         # columns and rows of the numbers of A and G
-        self._places = [np.array(part.T.nonzero(), dtype=np.int32) for part in parts]
+        self._places = [np.array(block.T.nonzero(), dtype=np.int32) for block in blocks]
         kind = (forms.Dual, forms.Primal, forms.Barrier).index(type(form))
         starts = [place[axis].ctypes.data for place in self._places for axis in (0, 1)]
         counts = [place.shape[1] for place in self._places]
@@ -115,7 +115,7 @@ def library(form: forms.Form, flags: tuple[str, ...]) -> Path:
             links = [flag for flag in flags if flag != "-Ofast"]
             execute([command, *links, "-shared", "-o", str(built), *objects, "-lm"])
 
-    return made("qocogen", key, make)
+    return cached("qocogen", key, make)
 
 
 @cache
