@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 from shutil import get_terminal_size
 from typing import Annotated, Any, Generic, TypeVar
@@ -27,7 +27,7 @@ RANGES = {
 
 
 def tick(text: str) -> None:
-    """Print the current case on one line of a terminal, which the next one overwrites."""
+    """Print the current case on a line of a terminal that the next one overwrites."""
     if sys.stderr.isatty():
         sys.stderr.write(f"\r\033[K{text[: get_terminal_size().columns - 1]}\r")
 
@@ -39,8 +39,7 @@ class TimingSettings:
     Attributes:
         contacts: numbers of contacts.
         wrenches: problems for each number of contacts, divided among four grasps.
-        rounds: rounds in which the contestants take turns, so that a busy moment of the machine
-            affects all alike.
+        rounds: rounds in which the contestants take turns, so that a busy moment affects all alike.
         passes: passes in a round; the time of a problem is the best of rounds * passes calls.
         seed: seed of the problems.
     """
@@ -57,16 +56,15 @@ class Benchmark:
     """A benchmark, by name in `benchmarks.__main__.BENCHMARKS`.
 
     Attributes:
-        run: takes settings, returns rows with columns of `training.evaluation.results.columns`. A
-            row with a `reason` says what could not be measured, and why.
+        run: maps settings to rows with columns of `training.evaluation.results.columns`. A row with
+            a `reason` was not measured.
         settings: default settings, a dataclass whose fields are the options.
         quick: changes to them for a small version with rough numbers.
         shown: printed columns of the summary, in addition to its keys.
         claims: claims about the summary.
         words: meaning of values of the column `method`.
-        notes: takes the summary, returns lines to print below it.
-        draw: takes the rows and `words`, returns a figure that is saved as picture.svg; None: no
-            picture.
+        notes: maps the summary to lines to print below it.
+        draw: maps the rows and `words` to a figure that is saved as picture.svg; None: no picture.
     """
 
     run: Callable[[Any], pd.DataFrame]
@@ -84,7 +82,7 @@ SettingsT = TypeVar("SettingsT")
 
 @dataclass(frozen=True)
 class RunOptions(Generic[SettingsT]):
-    """RunOptions of a run.
+    """Options of a run.
 
     Attributes:
         settings: settings of the benchmark.
@@ -105,8 +103,7 @@ class RunOptions(Generic[SettingsT]):
 
 def checked(settings: Any) -> None:
     """Raise an `InvalidInputError` if a whole number of the settings is out of its range."""
-    for name in (part.name for part in fields(settings)):
-        value = getattr(settings, name)
+    for name, value in vars(settings).items():
         least, most = RANGES.get(name, (1, 100_000))
         for number in value if isinstance(value, tuple) else (value,):
             if isinstance(number, int) and not least <= number <= most:

@@ -1,7 +1,6 @@
-"""Comparison of this checkout with an earlier one: the same problems and calls, in short processes
-that take turns on one core.
+"""Comparison of this checkout with an earlier one, in short processes that take turns on one core.
 
-`core_side.ROWS` lists what is timed. Every process writes its rows, and this module joins them.
+`core_side.ROWS` lists the timed calls. Every process writes its rows, and this module joins them.
 """
 
 from __future__ import annotations
@@ -61,10 +60,9 @@ def run(settings: CoreSettings, names: tuple[str, ...] = tuple(ROWS)) -> pd.Data
 
     Returns:
         A row for each side, method and problem with the best of all rounds, and with two sides the
-        difference of their objectives in
-        `apart`; a row for each round with the ratio of medians; a row for each process with its
-        first solve and the commit in `event`; a
-        row with a reason for everything that a side cannot time.
+        difference of their objectives in `apart`; a row for each round with the ratio of medians; a
+        row for each process with its first solve and the commit in `event`; a row with a reason for
+        everything that a side cannot time.
 
     Raises:
         InvalidInputError: the baseline is no installed checkout.
@@ -76,11 +74,11 @@ def run(settings: CoreSettings, names: tuple[str, ...] = tuple(ROWS)) -> pd.Data
         sides["baseline"] = root, root / ".venv/bin/python"
     for root, python in sides.values():
         if not (root / "grasp_env").is_dir() or not python.exists():
-            mend = f"git worktree add {root} COMMIT, make -C {root} install"
+            remedy = f"git worktree add {root} COMMIT, make -C {root} install"
             raise InvalidInputError(
-                f"{root} is no installed checkout with a grasp_env and a {python}: {mend}"
+                f"{root} is no installed checkout with a grasp_env and a {python}: {remedy}"
             )
-    parts = []
+    tables = []
     first = []
     with tempfile.TemporaryDirectory() as scratch:
         file = Path(scratch, "problems.npz")
@@ -91,91 +89,75 @@ def run(settings: CoreSettings, names: tuple[str, ...] = tuple(ROWS)) -> pd.Data
             for turn in range(settings.rounds):
                 for side, (root, python) in sides.items():
                     tick(f"{count} contacts, round {turn + 1} of {settings.rounds}: {side}")
-                    words = [
-                        str(out),
-                        str(file),
-                        str(settings.passes),
-                        str(time.monotonic()),
-                        *names,
-                    ]
-                    about, *lines = process(python, root, words)
-                    taken = about["milliseconds"]
-                    first.append(
-                        {"case": FIRST, "side": side, "event": commit(root), "milliseconds": taken}
-                    )
-                    parts.append(pd.DataFrame(lines).assign(side=side, contacts=count, turn=turn))
-    return join(
-        [
-            *joined(pd.concat([part.astype(object) for part in parts], ignore_index=True)),
-            pd.DataFrame(first),
-        ]
-    )
+                    words = map(str, (out, file, settings.passes, time.monotonic()))
+                    about, *lines = process(python, root, [*words, *names])
+                    row = {"case": FIRST, "side": side, "event": commit(root)}
+                    first.append(row | {"milliseconds": about["milliseconds"]})
+                    table = pd.DataFrame(lines).assign(side=side, contacts=count, turn=turn)
+                    tables.append(table.astype(object))
+    return join([*joined(pd.concat(tables, ignore_index=True)), pd.DataFrame(first)])
 
 
 def arrays(seed: int, count: int, wrenches: int) -> dict[str, Any]:
-    """The problems of the other benchmarks, and a path round each grasp on which it keeps force
-    closure.
-    """
+    """Return the problems of the other benchmarks, and for each grasp a path with force closure."""
     rng = np.random.default_rng([seed, count, 1])
     out = {}
     for group, (grasp, loads) in enumerate(problems(seed, count, wrenches)):
         angle = STEP * np.arange(len(loads))[:, None, None]
-        phase, shift, tilt = (
-            rng.uniform(0.0, 2.0 * np.pi, (count, 1)),
-            *rng.uniform(-1.0, 1.0, (2, count, 3)),
-        )
-        part = 1.0  # of the way: halved until closure is kept
+        phase = rng.uniform(0.0, 2.0 * np.pi, (count, 1))
+        shift, tilt = rng.uniform(-1.0, 1.0, (2, count, 3))
+        amplitude = 1.0  # halved until closure is kept
         while True:
-            points = grasp.positions + part * SHIFT * shift * np.sin(angle + phase)
-            normals = grasp.normals + part * TILT * tilt * np.cos(angle + phase)
+            points = grasp.positions + amplitude * SHIFT * shift * np.sin(angle + phase)
+            normals = grasp.normals + amplitude * TILT * tilt * np.cos(angle + phase)
             normals /= np.sqrt((normals**2).sum(axis=2, keepdims=True))
-            path = (
-                Grasp.from_contacts(p, n, grasp.friction)
-                for p, n in zip(points, normals, strict=True)
-            )
-            if all(feasibility(moved, np.zeros(6)).feasible for moved in path):
+            path = zip(points, normals, strict=True)
+            steps = (Grasp.from_contacts(*pair, grasp.friction) for pair in path)
+            if all(feasibility(step, np.zeros(6)).feasible for step in steps):
                 break
-            part *= 0.5
+            amplitude *= 0.5
         turning = np.cos(angle[:, 0]) * loads[0] + np.sin(angle[:, 0]) * loads[1]
-        found = {
+        case = {
             "positions": grasp.positions,
             "normals": grasp.normals,
             "friction": grasp.friction,
             "wrenches": loads,
+            "path_points": points,
+            "path_normals": normals,
+            "path_wrenches": turning,
         }
-        found |= {"path_points": points, "path_normals": normals, "path_wrenches": turning}
         turned = np.linalg.qr(rng.standard_normal((count, 3, 3)))[0]
         joints = LEVER * turned * (1.0 + 0.1 * np.sin(angle[:, :, None] + phase[:, :, None]))
-        found |= {
-            "path_joints": joints,
-            "torque_limit": strongest(grasp, points, normals, turning, joints),
-        }
-        out |= {f"{group}/{name}": value for name, value in found.items()}
+        case["path_joints"] = joints
+        case["torque_limit"] = strongest(grasp, points, normals, turning, joints)
+        out |= {f"{group}/{name}": value for name, value in case.items()}
     return out
 
 
 def strongest(grasp: Grasp, points: Array, normals: Array, wrenches: Array, joints: Array) -> Array:
-    """Return (3N,) torque limits [N m] a little above the largest torques of optimal forces along a
-    path, so every step is feasible.
+    """Return (3N,) torque limits [N m] with which every step of a path is feasible.
+
+    They are `ROOM` times the largest torques of optimal forces along it.
     """
     optimizer = ForceOptimizer(grasp)
     path = zip(wrenches, points, normals, joints, strict=True)
     torques = [
-        np.einsum("nij,ni->nj", each, optimizer.solve(wrench, positions=p, normals=n).object_force)
-        for wrench, p, n, each in path
+        np.einsum("nij,ni->nj", j, optimizer.solve(wrench, positions=p, normals=n).object_force)
+        for wrench, p, n, j in path
     ]
     return ROOM * np.abs(torques).max(axis=0).reshape(-1)
 
 
 def process(python: Path, root: Path, words: list[str]) -> list[dict[str, Any]]:
-    """Run `core_side.py` in a checkout and return the lines that it wrote, or raise a `GraspError`."""
-    kept = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
+    """Run `core_side.py` in a checkout and return its lines, or raise a `GraspError`."""
+    environment = {
+        name: value for name, value in os.environ.items() if not name.startswith("PYTHON")
+    }
     command = [str(python), "-c", SIDE.read_text(encoding="utf-8"), *words]
-    done = subprocess.run(
-        command, cwd=root, env=kept | {"OPENBLAS_NUM_THREADS": "1"}, capture_output=True, text=True
-    )
-    if done.returncode:
-        last = (done.stderr.strip().splitlines() or ["nothing said"])[-1]
+    environment["OPENBLAS_NUM_THREADS"] = "1"
+    ended = subprocess.run(command, cwd=root, env=environment, capture_output=True, text=True)
+    if ended.returncode:
+        last = (ended.stderr.strip().splitlines() or ["nothing said"])[-1]
         raise GraspError(f"the process in {root} ended: {last}")
     lines = [json.loads(line) for line in Path(words[0]).read_text(encoding="utf-8").splitlines()]
     if not os.path.samefile(lines[0]["root"], root):
@@ -184,15 +166,13 @@ def process(python: Path, root: Path, words: list[str]) -> list[dict[str, Any]]:
 
 
 def joined(lines: Any) -> list[pd.DataFrame]:
-    """Join the lines of all processes: best of the rounds, differences of objectives, ratios of
-    each round, and missing rows.
-    """
+    """Join the lines of all processes: best times, ratios of each round, and missing rows."""
     keys = ["contacts", "method", "problem"]
     lines = lines.reindex(columns=[*keys, "side", "turn", "microseconds", "objective", "reason"])
-    lacking = lines.loc[
+    missing = lines.loc[
         lines["reason"].notna(), ["contacts", "method", "side", "reason"]
     ].drop_duplicates()
-    lines = lines[~lines["method"].isin(lacking["method"])].astype(
+    lines = lines[~lines["method"].isin(missing["method"])].astype(
         {"microseconds": float, "objective": float}
     )
     best = lines.groupby([*keys, "side"], sort=False, as_index=False).agg(
@@ -200,31 +180,22 @@ def joined(lines: Any) -> list[pd.DataFrame]:
     )
     best["failed"] = best["objective"].isna()
     if "baseline" not in set(best["side"]):
-        return [best.drop(columns="objective").assign(case=CALL), lacking]
+        return [best.drop(columns="objective").assign(case=CALL), missing]
     other = best.merge(best[best["side"] == "baseline"], on=keys, how="left")
     best["apart"] = (other["objective_x"] / other["objective_y"] - 1.0).abs()
     # both sides of a method in consecutive rows
-    pairs = [
-        rows
-        for _, rows in best.drop(columns="objective")
-        .assign(case=CALL)
-        .groupby(keys[:2], sort=False)
-    ]
+    calls = best.drop(columns="objective").assign(case=CALL)
+    pairs = [rows for _, rows in calls.groupby(keys[:2], sort=False)]
     medians = lines.pivot_table(
         "microseconds", ["contacts", "method", "turn"], "side", "median", sort=False
     )
     ratios = (medians["now"] / medians["baseline"]).rename("ratio").reset_index()
-    return [*pairs, ratios.rename(columns={"turn": "problem"}).assign(case=RATIO), lacking]
+    return [*pairs, ratios.rename(columns={"turn": "problem"}).assign(case=RATIO), missing]
 
 
 def _slower(name: str) -> Claim:
-    return Claim(
-        f"{name}: time over the baseline's",
-        f"case == '{RATIO}' and method == '{name}'",
-        "ratio_median",
-        "<=",
-        1.05,
-    )
+    query = f"case == '{RATIO}' and method == '{name}'"
+    return Claim(f"{name}: time over the baseline's", query, "ratio_median", "<=", 1.05)
 
 
 BENCHMARK = Benchmark(

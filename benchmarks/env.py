@@ -1,5 +1,6 @@
-"""Comparison of the environment with the bare PyBullet calls of the same episode: steps per second,
-resets, memory.
+"""Comparison of the environment with the bare PyBullet calls of the same episode.
+
+It measures steps per second, resets and memory.
 """
 
 from __future__ import annotations
@@ -71,13 +72,11 @@ def run(settings: EnvSettings) -> pd.DataFrame:
     fewer = max(4, settings.rounds // 3)
     for name, options in EPISODES.items():
         tick(f"steps: {name}")
-        rows += steps_beside_bare(
-            name, options, settings.seed, settings.rounds if name == USUAL else fewer
-        )
+        rounds = settings.rounds if name == USUAL else fewer
+        rows += steps_beside_bare(name, options, settings.seed, rounds)
     tick("steps through gym.make")
-    rows += steps_beside_bare(
-        f"{USUAL}, gym.make", {}, settings.seed, settings.rounds, wrapped=True
-    )
+    name = f"{USUAL}, gym.make"
+    rows += steps_beside_bare(name, {}, settings.seed, settings.rounds, wrapped=True)
     for name, options in RESETS.items():
         tick(f"resets: {name}")
         rows += reset_times(name, options, settings.seed, max(20, settings.resets // 4))
@@ -88,14 +87,12 @@ def run(settings: EnvSettings) -> pd.DataFrame:
 
 
 def make(options: dict[str, Any], wrapped: bool = False) -> Any:
-    """An environment; `initial_force="learned"` is the shipped network."""
+    """Make an environment; `initial_force="learned"` is the shipped network."""
     if options.get("initial_force") == "learned":
         options = {**options, "initial_force": LearnedInitialForce.pretrained()}
-    return (
-        gym.make("grasp_env:FourFingerGrasp-v0", **options)
-        if wrapped
-        else FourFingerGrasp(**options)
-    )
+    if wrapped:
+        return gym.make("grasp_env:FourFingerGrasp-v0", **options)
+    return FourFingerGrasp(**options)
 
 
 def steps_beside_bare(
@@ -103,9 +100,8 @@ def steps_beside_bare(
 ) -> list[Row]:
     """Return microseconds of an agent step and of its PyBullet calls alone, measured in turns.
 
-    The bare loop repeats the recorded episode: the same torques and wrenches from the same state,
-    and the same readings, so it has the same contacts. A check requires the same final pose, bit by
-    bit.
+    The bare loop repeats the recorded torques and wrenches from the same state, with the same
+    readings, so it has the same contacts. Its final pose must be the same, bit by bit.
     """
     env = make(options, wrapped)
     try:
@@ -127,11 +123,8 @@ def steps_beside_bare(
                     "the bare loop went another way than the environment: an unfair comparison"
                 )
             row = {"method": name, "problem": turn - 1}
-            ratio = ours / bare
-            rate = 1e6 / ours
-            rows.append(
-                {**row, "case": "step", "microseconds": ours, "per_second": rate, "ratio": ratio}
-            )
+            step = {"microseconds": ours, "per_second": 1e6 / ours, "ratio": ours / bare}
+            rows.append({**row, "case": "step", **step})
             rows.append({**row, "case": "bare PyBullet calls of the step", "microseconds": bare})
         return rows[2:]  # the first turn is warm-up
     finally:
@@ -158,7 +151,7 @@ def record(env: FourFingerGrasp, seed: int) -> Recorded:
 
 
 def bare_loop(env: FourFingerGrasp, recorded: Recorded) -> int:
-    """Nanoseconds of the calls that `Scene.advance` and `Scene.look` make, and nothing else.
+    """Return nanoseconds of the calls that `Scene.advance` and `Scene.look` make, and no more.
 
     The environment's physics must run at its control rate.
     """
@@ -185,7 +178,7 @@ def bare_loop(env: FourFingerGrasp, recorded: Recorded) -> int:
 
 
 def reset_times(name: str, options: dict[str, Any], seed: int, count: int) -> list[Row]:
-    """Milliseconds of `reset`, closing the fingers included."""
+    """Return milliseconds of `reset`, closing the fingers included."""
     env = make(options)
     try:
         rows: list[Row] = []
@@ -200,16 +193,14 @@ def reset_times(name: str, options: dict[str, Any], seed: int, count: int) -> li
 
 
 def memory_of(name: str, options: dict[str, Any], resets: int, envs: int) -> list[Row]:
-    """Measure resident memory in a separate process: of an environment, and its growth over
-    `resets` resets.
-    """
+    """Run `weigh` in a separate process."""
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
-        found = pool.submit(weigh, options, resets, envs).result()
-    return [{"case": case, "method": name, "mebibytes": value} for case, value in found.items()]
+        memory = pool.submit(weigh, options, resets, envs).result()
+    return [{"case": case, "method": name, "mebibytes": value} for case, value in memory.items()]
 
 
 def weigh(options: dict[str, Any], resets: int, envs: int) -> dict[str, float]:
-    """Return the memory of this process by purpose [MiB]."""
+    """Return the resident memory of this process by purpose [MiB]."""
     # code and the first reset's caches belong to the process, not to an environment
     warm = make(options)
     for k in range(max(20, resets // 10)):
@@ -218,21 +209,18 @@ def weigh(options: dict[str, Any], resets: int, envs: int) -> dict[str, float]:
     for k in range(resets):
         warm.reset(seed=1000 + k)
     before = _resident()
-    made = [make(options) for _ in range(envs)]
-    for k, env in enumerate(made):
+    more = [make(options) for _ in range(envs)]
+    for k, env in enumerate(more):
         env.reset(seed=k)
         env.step(np.zeros(env.action_space.shape, dtype=np.float32))
-    all_of_it = _resident()
-    per_env = (all_of_it - before) / envs
-    growth = before - first
-    found = {
-        "memory of an environment": per_env,
-        "growth over the resets": growth,
-        "memory in all": all_of_it,
-    }
-    for env in (warm, *made):
+    total = _resident()
+    for env in (warm, *more):
         env.close()
-    return found
+    return {
+        "memory of an environment": (total - before) / envs,
+        "growth over the resets": before - first,
+        "memory in all": total,
+    }
 
 
 def _pose(env: FourFingerGrasp) -> tuple[Any, ...]:
@@ -242,14 +230,29 @@ def _pose(env: FourFingerGrasp) -> tuple[Any, ...]:
 
 
 def _resident() -> float:
-    """Resident memory of this process [MiB]."""
+    """Return the resident memory of this process [MiB]."""
     gc.collect()
     with open("/proc/self/statm", encoding="ascii") as file:
         return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
 _USUAL = f'case == "step" and method == "{USUAL}"'
-_GROWTH = "case == 'growth over the resets' and method == '{}'"
+
+
+def _reset(label: str, methods: str, most: float) -> Claim:
+    query = f"case == 'reset' and method {methods}"
+    return Claim(f"reset, {label}, median", query, "milliseconds_median", "<", most, unit="ms")
+
+
+def _memory(label: str, query: str, most: float) -> Claim:
+    return Claim(label, query, "mebibytes_max", "<", most, unit="MiB")
+
+
+def _growth(label: str, method: str) -> Claim:
+    query = f"case == 'growth over the resets' and method == '{method}'"
+    return _memory(f"growth over the resets, {label}", query, 1.0)
+
+
 BENCHMARK = Benchmark(
     run,
     EnvSettings(),
@@ -279,45 +282,10 @@ BENCHMARK = Benchmark(
             "<=",
             1.25,
         ),
-        Claim(
-            "reset, same object shape, median",
-            "case == 'reset' and method != 'new shape'",
-            "milliseconds_median",
-            "<",
-            5.0,
-            unit="ms",
-        ),
-        Claim(
-            "reset, new object shape, median",
-            "case == 'reset' and method == 'new shape'",
-            "milliseconds_median",
-            "<",
-            40.0,
-            unit="ms",
-        ),
-        Claim(
-            "memory per environment",
-            "case == 'memory of an environment'",
-            "mebibytes_max",
-            "<",
-            60.0,
-            unit="MiB",
-        ),
-        Claim(
-            "growth over the resets, same object",
-            _GROWTH.format("same object"),
-            "mebibytes_max",
-            "<",
-            1.0,
-            unit="MiB",
-        ),
-        Claim(
-            "growth over the resets, new shapes",
-            _GROWTH.format("new shape"),
-            "mebibytes_max",
-            "<",
-            1.0,
-            unit="MiB",
-        ),
+        _reset("same object shape", "!= 'new shape'", 5.0),
+        _reset("new object shape", "== 'new shape'", 40.0),
+        _memory("memory per environment", "case == 'memory of an environment'", 60.0),
+        _growth("same object", "same object"),
+        _growth("new shapes", "new shape"),
     ),
 )

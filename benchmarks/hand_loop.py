@@ -1,9 +1,8 @@
-"""The controllers of `examples/hand_controller` in a separate process, in real time with a
-simulated hand that holds an object.
+"""The controllers of `examples/hand_controller` in real time with a simulated hand.
 
-The hand runs in this process: MuJoCo steps at the rate, sends the messages of a hand, and converts
-the answers to torques. The contacts of each finger in turn are cut for a while, and messages stop
-now and then.
+The controller runs in a separate process. The hand runs in this one: MuJoCo steps at the rate,
+sends the messages of a hand, and converts the answers to torques. The contacts of each finger in
+turn are cut for a while, and messages stop now and then.
 
 The file is long because the hand, both controllers and their protocol of messages belong together.
 """
@@ -86,9 +85,7 @@ class HandLoopSettings:
 
 
 def run(settings: HandLoopSettings) -> pd.DataFrame:
-    """Run the loop, and returns a row for each update, one for each message that was answered, and
-    one of counts.
-    """
+    """Run the loop; return one row per update, one per answered message, and a row of counts."""
     rows: list[dict[str, Any]] = []
     for language in settings.language:
         measured = measure(settings.hand, settings.rate, settings.seconds, language)
@@ -105,8 +102,10 @@ def run(settings: HandLoopSettings) -> pd.DataFrame:
 def measure(
     name: str, rate: int, seconds: float, language: str, program: Path | None = None
 ) -> Loop:
-    """One run of the loop; program: the compiled example, else it is built. A controller that fails
-    is a `SimulationError`.
+    """Run the loop once; without a compiled `program` the example is built.
+
+    Raises:
+        SimulationError: the controller failed.
     """
     hand = SimulatedHand(name, rate)
     mine, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -115,21 +114,16 @@ def measure(
         with tempfile.TemporaryDirectory() as scratch, other:
             folder = Path(scratch)
             if language == "python":
-                given = other, hand.hand, float(rate), hand.friction
-                process = multiprocessing.get_context("spawn").Process(
-                    target=serve, args=given, daemon=True
-                )
+                args = other, hand.hand, float(rate), hand.friction
+                spawn = multiprocessing.get_context("spawn")
+                process = spawn.Process(target=serve, args=args, daemon=True)
                 process.start()
             else:
                 file = hand.scene.kinematics.export(folder / "hand")
-                words = [
-                    program or build(folder),
-                    str(other.fileno()),
-                    file,
-                    str(rate),
-                    f"{hand.friction:.17g}",
-                ]
-                process = subprocess.Popen(words, pass_fds=[other.fileno()])
+                channel = other.fileno()
+                friction = f"{hand.friction:.17g}"
+                words = [program or build(folder), str(channel), file, str(rate), friction]
+                process = subprocess.Popen(words, pass_fds=[channel])
             other.close()
             loop = Loop(hand, mine, rate)
             loop.run(seconds)
@@ -161,33 +155,31 @@ class SimulatedHand:
         self.target = resting_target(1)[0]
 
     def drift(self) -> float:
-        """Distance of the object from the pose at which it was grasped [mm]."""
+        """Return the object's distance from the pose at which it was grasped [mm]."""
         return 1e3 * float(np.linalg.norm(self.scene.look().position))
 
     def step(self, commands: Array) -> None:
-        """Simulate a period with commands in device units, which the motors convert to torques."""
+        """Simulate a period with commands in device units."""
         self.scene.advance((commands / UNITS * self.limits).tolist(), None)
 
     def state(self, cut: int) -> Array:
-        """Return the numbers of a `HandState`; `cut` is a finger without a reported contact, -1 for
-        none.
-        """
-        seen = self.scene.look()
-        touching = seen.touching.copy()
+        """Return the numbers of a `HandState`; finger `cut` reports no contact, -1: all do."""
+        reading = self.scene.look()
+        touching = reading.touching.copy()
         if cut >= 0:
             touching[cut] = 0.0
         load = np.array(self.body.wrench(self.scene.core, self.target, self.scene.gravity))
-        force = seen.rotation @ load[:3]
-        moment = seen.rotation @ load[3:]
+        force = reading.rotation @ load[:3]
+        moment = reading.rotation @ load[3:]
         return np.concatenate(
             [
-                seen.angles,
-                seen.rates,
+                reading.angles,
+                reading.rates,
                 touching,
-                seen.touch.ravel(),
-                (seen.normals @ seen.rotation.T).ravel(),
+                reading.touch.ravel(),
+                (reading.normals @ reading.rotation.T).ravel(),
                 force,
-                moment + np.cross(seen.position, force),
+                moment + np.cross(reading.position, force),
                 self.scene.gravity,
                 [SENSOR_AGE],
             ]
@@ -198,10 +190,10 @@ class Loop:
     """The hand's side of the loop: step, send, and receive answers until the next step is due.
 
     Attributes:
-        durations: seconds of each update, as the controller measured it. statuses: what it did,
-            places in `STATUSES`.
+        durations: seconds of each update, as the controller measured it.
+        statuses: indices in `STATUSES`, one per update.
         trips: seconds from sending a message to its answer, by its number.
-        counts: of the whole run, columns of the table.
+        counts: columns of the table for the whole run.
     """
 
     def __init__(self, hand: SimulatedHand, channel: socket.socket, rate: int) -> None:
@@ -213,11 +205,12 @@ class Loop:
         self.trips: dict[int, float] = {}
         self.counts: dict[str, Any] = {}
         self._sent: list[float] = []
-        self._first = self._came = 0  # number of the first message that is timed; answers
+        self._first = 0  # number of the first message that is timed
+        self._came = 0  # answers
         self._answer = np.zeros(COMMANDS)
 
     def run(self, seconds: float) -> None:
-        """Run for a time [s]; a controller that does not answer is a `SimulationError`."""
+        """Run for a time [s], or raise a `SimulationError` if the controller does not answer."""
         hand = self.hand
         fingers = self.hand.hand.finger_count
         drift = 0.0
@@ -226,7 +219,7 @@ class Loop:
         due = time.perf_counter()
         for k in range(round(seconds / self.period)):
             now = k * self.period
-            due = due + self.period
+            due += self.period
             if not k % 1000:
                 tick(f"{now:.0f} s of {seconds} s, {drift:.3f} mm")
             hand.step(self._answer[COMMANDS : COMMANDS + len(hand.limits)])
@@ -236,7 +229,7 @@ class Loop:
                 self._send(hand.state((cut - 1) % fingers if cut else -1))
             if time.perf_counter() > due:  # a busy machine delays the simulated hand
                 due = time.perf_counter() + 0.5 * self.period
-                behind = behind + 1
+                behind += 1
             self._take(due)
         self._take(time.perf_counter() + 0.1)
         heard = self._answer[HEARD]
@@ -266,7 +259,7 @@ class Loop:
         self.durations, self.statuses, self.trips, self._first = [], [], {}, len(self._sent)
 
     def _send(self, numbers: Array) -> None:
-        """One message, with its number."""
+        """Send a message with its number."""
         message = np.concatenate([[len(self._sent)], numbers]).tobytes()
         self._sent.append(time.perf_counter())
         self.channel.send(message)
@@ -282,7 +275,7 @@ class Loop:
                 raise SimulationError("the controller has ended")
             self._answer = np.frombuffer(message)
             number = int(self._answer[NUMBER])
-            self._came = self._came + 1
+            self._came += 1
             if number >= self._first:
                 self.trips.setdefault(number, came - self._sent[number])
             self.durations.append(float(self._answer[DURATION]))
@@ -292,7 +285,7 @@ class Loop:
 
 
 def _within(now: float, first: float, every: float, lasts: float) -> int:
-    """The number, from one on, of the repeated event that now is within; 0: of none."""
+    """Return the number, from one on, of the repeated event that is now; 0: none."""
     number, since = divmod(now - first, every)
     return int(number) + 1 if now >= first and since < lasts else 0
 
@@ -305,7 +298,7 @@ def build(folder: Path) -> Path:
             "the controller in C++ is built with cmake, which is not there: pip install cmake"
         )
     core = ROOT / "grasp_env" / "core"
-    made = folder / "build"
+    target = folder / "build"
     options = [
         "-DGRASP_EXAMPLES=ON",
         "-DCMAKE_BUILD_TYPE=Release",
@@ -313,17 +306,17 @@ def build(folder: Path) -> Path:
     ]
     tick("the example is compiled")
     for words in (
-        ["-S", core, "-B", made, *options],
-        ["--build", made, "--target", "hand_controller"],
+        ["-S", core, "-B", target, *options],
+        ["--build", target, "--target", "hand_controller"],
     ):
-        done = subprocess.run([cmake, *words], capture_output=True, text=True, check=False)
-        if done.returncode:
-            raise SimulationError(f"cmake fails: {done.stderr or done.stdout}")
-    return made / "hand_controller"
+        ended = subprocess.run([cmake, *words], capture_output=True, text=True, check=False)
+        if ended.returncode:
+            raise SimulationError(f"cmake fails: {ended.stderr or ended.stdout}")
+    return target / "hand_controller"
 
 
 def example() -> ModuleType:
-    """`examples/hand_controller.py`."""
+    """Import `examples/hand_controller.py`."""
     spec = util.spec_from_file_location("hand_controller", ROOT / "examples" / "hand_controller.py")
     assert spec is not None
     assert spec.loader is not None
@@ -344,16 +337,13 @@ def state_of(shown: ModuleType, numbers: Array, joints: int, fingers: int) -> An
 def controller_of(
     shown: ModuleType, hand: HandDescription, table: Any = None, **settings: Any
 ) -> Any:
-    """Configure the controller in Python, with the calibration of `main` in C++ unless another
-    `table` is given.
-    """
+    """Configure the controller in Python; `table` replaces the calibration of `main` in C++."""
     limits = hand.torque_limits
-    made = shown.HandController()
-    usual = shown.Calibration(
-        np.outer(limits, [-1.0, 1.0]), np.tile([-UNITS, UNITS], (len(limits), 1))
-    )
-    made.configure(hand, shown.HandControllerSettings(**settings), table or usual)
-    return made
+    units = np.tile([-UNITS, UNITS], (len(limits), 1))
+    usual = shown.Calibration(np.outer(limits, [-1.0, 1.0]), units)
+    controller = shown.HandController()
+    controller.configure(hand, shown.HandControllerSettings(**settings), table or usual)
+    return controller
 
 
 def serve(channel: socket.socket, hand: HandDescription, rate: float, friction: float) -> None:
@@ -375,7 +365,7 @@ def serve(channel: socket.socket, hand: HandDescription, rate: float, friction: 
         try:
             while message := channel.recv(1 << 16):  # the newest counts
                 newest = message
-                heard = heard + 1
+                heard += 1
             return
         except BlockingIOError:
             pass
@@ -394,41 +384,25 @@ def serve(channel: socket.socket, hand: HandDescription, rate: float, friction: 
         state.age = now - measured
         commands = controller.update(state, now - last)
         last = now
-        updates = updates + 1
-        c = controller
-        header = [
-            number,
-            heard,
-            updates,
-            c.duration,
-            c.late,
-            c.over_budget,
-            shown.STATUSES.index(c.status),
-        ]
+        updates += 1
+        measures = controller.duration, controller.late, controller.over_budget
+        header = [number, heard, updates, *measures, shown.STATUSES.index(controller.status)]
         with suppress(BlockingIOError, ConnectionError):
-            channel.send(np.concatenate([header, commands, c.torques]).tobytes())
+            channel.send(np.concatenate([header, commands, controller.torques]).tobytes())
 
 
 def draw(rows: pd.DataFrame, words: Mapping[str, str]) -> Figure:
-    """Draw histograms of the times of updates and round trips on logarithmic axes; `words` are the
-    names of the methods.
-    """
+    """Draw histograms of the times of updates and round trips; `words` name the methods."""
     figure, panel = axes(3.4)
     timed = rows.dropna(subset="latency")
     edges = np.geomspace(max(timed["latency"].min(), 1.0), 1.01 * timed["latency"].max(), 70)
-    for keys, part in timed.groupby(["method", "case"], sort=False):
+    for keys, group in timed.groupby(["method", "case"], sort=False):
         method, case = map(str, keys)  # type: ignore[call-overload]
-        counts, _ = np.histogram(part["latency"], edges)
+        counts, _ = np.histogram(group["latency"], edges)
+        label = f"{words[method]}, {case}"
         color = f"C{list(words).index(method)}"
         style = "-" if case == UPDATE else ":"
-        panel.stairs(
-            counts,
-            edges,
-            label=f"{words[method]}, {case}",
-            color=color,
-            linestyle=style,
-            linewidth=1.4,
-        )
+        panel.stairs(counts, edges, label=label, color=color, linestyle=style, linewidth=1.4)
     panel.set(xscale="log", yscale="log", xlabel="time [us]", ylabel="how many", ylim=(0.8, None))
     for axis in (panel.xaxis, panel.yaxis):
         axis.set_major_formatter(lambda value, _: f"{value:,.0f}")

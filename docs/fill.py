@@ -50,19 +50,8 @@ RESULTS = Path(__file__).parent / "results"
 FORCE = RESULTS / "force.csv.xz"
 BLOCK = re.compile(r"(<!-- results: (\w+) -->\n)(.*?)(<!-- /results -->)", re.DOTALL)
 PROVENANCE = (
-    "kind",
-    "command",
-    "time",
-    "machine",
-    "versions",
-    "commit",
-    "settings",
-    "quick",
-    "given",
-    "claims",
-    "unit",
-    "tracks",
-    "entrants",
+    *("kind", "command", "time", "machine", "versions", "commit", "settings", "quick", "given"),
+    *("claims", "unit", "tracks", "entrants"),
 )
 
 LAYERS = {
@@ -75,16 +64,13 @@ LAYERS = {
     "qplayer": "ProxSuite, pyramids",
 }
 PLAIN = {
-    "time of cvxpylayers over ours, batch of 1": (
-        "speed-up over cvxpylayers (SCS), batch of 1",
-        "x",
-    ),
-    "time of cvxpylayers_clarabel over ours, batch of 1": (
-        "speed-up over cvxpylayers (Clarabel), batch of 1",
-        "x",
-    ),
+    **{
+        f"time of {method} over ours, batch of 1": (f"speed-up over {name}, batch of 1", "x")
+        for method, name in LAYERS.items()
+        if method.startswith("cvxpylayers")
+    },
     "all four errors: rate of the paper's pipeline minus that of constant squeeze, each at its chosen setting": (
-        "our holding rate less that of a constant-squeeze controller, with errors in friction, delay, tactile sensing and torque all present",
+        "our holding rate minus that of a constant-squeeze controller, with errors in friction, delay, tactile sensing and torque all present",
         "",
     ),
     "cost of a step over the bare PyBullet calls, median of pairs": (
@@ -92,7 +78,7 @@ PLAIN = {
         "",
     ),
 }
-"""Plainer names of claims in the table of README.md, and the units of their numbers."""
+"""Plain names of claims in the table of README.md, with units."""
 VERDICTS = {True: "yes", False: "**NO**", None: "not measured"}
 
 
@@ -117,100 +103,81 @@ def judged(kind: str) -> list[Verdict]:
     return judge(claims_of(about), means)
 
 
-def markdown(kind: str | None, made: Rows, note: str = "") -> str:
+def markdown(kind: str | None, table: Rows, note: str = "") -> str:
     """Return a table with the command and machine of its run below; `kind` None: no run."""
     lines = [
-        list(made.columns),
-        ["---"] * len(made.columns),
-        *([cell(value) for value in row] for row in made.itertuples(index=False)),
+        list(table.columns),
+        ["---"] * len(table.columns),
+        *([cell(value) for value in row] for row in table.itertuples(index=False)),
     ]
-    parts = ["\n".join("| " + " | ".join(line) + " |" for line in lines), note]
+    paragraphs = ["\n".join("| " + " | ".join(line) + " |" for line in lines), note]
     if kind:
         about = json.loads((RESULTS / f"{kind}.json").read_text(encoding="utf-8"))
         machine = about["machine"]
-        parts.append(
+        paragraphs.append(
             f"`{about['command']}` at {about['commit']}, {about['time'][:10]}: {machine['processor']}, {machine['cores']} cores, Python "
             f"{machine['python']}."
         )
-    return "\n\n".join(part for part in parts if part)
+    return "\n\n".join(filter(None, paragraphs))
 
 
 def reported(kind: str, make: Callable[[Rows, Rows], Rows]) -> Callable[[], str]:
-    """Return a table of the report of a kind of run, made of the saved summary."""
+    """Return a table of the report of a kind of run, from the saved summary."""
     return lambda: markdown(kind, make(pd.DataFrame(), saved(kind)[0]))
 
 
 def targets(kind: str) -> Callable[[], str]:
     """Return the claims of a saved run with their targets, missed ones first."""
-    return lambda: markdown(
-        kind,
-        pd.DataFrame(
-            [
-                {
-                    "": row.claim.name,
-                    "target": row.target,
-                    "measured": row.result,
-                    "met": VERDICTS[row.met],
-                }
-                for row in judged(kind)
-            ]
-        ),
-    )
+
+    def table() -> str:
+        rows = [(row.claim.name, row.target, row.result, VERDICTS[row.met]) for row in judged(kind)]
+        return markdown(kind, pd.DataFrame(rows, columns=["", "target", "measured", "met"]))
+
+    return table
 
 
 def force_tracks() -> str:
     """Return the tracks of the force benchmark, from their files."""
-    return markdown(
-        None,
-        pd.DataFrame(
-            [
-                {
-                    "track": f"`{track.name}`",
-                    "description": track.about["about"],
-                    "problems": sum(len(session.problems) for session in track.sessions),
-                    "modes": ", ".join(track.about["modes"]),
-                }
-                for track in map(load, names())
-            ]
-        ),
-    )
+    rows = [
+        {
+            "track": f"`{track.name}`",
+            "description": track.about["about"],
+            "problems": sum(len(session.problems) for session in track.sessions),
+            "modes": ", ".join(track.about["modes"]),
+        }
+        for track in map(load, names())
+    ]
+    return markdown(None, pd.DataFrame(rows))
 
 
 def force(objective: str) -> Callable[[], str]:
     """Return the results of the force benchmark by track and mode, for one objective."""
     ours = {name for name, where in ENTRANTS.items() if where.rpartition(":")[0].endswith(".ours")}
-    return lambda: markdown(
-        "force",
-        by_track(force_rows()[0], objective, ours),
-        "Median / 99 % in us of the problems solved to 1e-6.",
-    )
+    note = "Median / 99 % in us of the problems solved to 1e-6."
+    return lambda: markdown("force", by_track(force_rows()[0], objective, ours), note)
 
 
 def force_entrants() -> str:
     """Return the entrants of the force benchmark over all tracks."""
-    return markdown("force", by_entrant(force_rows()[0], force_rows()[1]["entrants"]))
+    rows, about = force_rows()
+    return markdown("force", by_entrant(rows, about["entrants"]))
 
 
 def solvers() -> str:
     """Return the times of all solvers by number of contacts."""
-    return markdown(
-        "force", by_contacts(force_rows()[0]), "Median / 99 % in us, 25 random grasps each."
-    )
+    note = "Median / 99 % in us, 25 random grasps each."
+    return markdown("force", by_contacts(force_rows()[0]), note)
 
 
 def batch() -> str:
     """Return solves per second by method and number of cores."""
     means = saved("batch")[0]
-    made = means.assign(millions=means["per_second_median"] / 1e6).pivot(
+    table = means.assign(millions=means["per_second_median"] / 1e6).pivot(
         index="method", columns="workers", values="millions"
     )
-    made.columns = [f"{count} core{'' if count == 1 else 's'}" for count in made.columns]
-    return markdown(
-        "batch",
-        made.reindex(means["method"].unique()).reset_index(
-            names="million certified solves per second"
-        ),
-    )
+    table.columns = [f"{count} core{'' if count == 1 else 's'}" for count in table.columns]
+    table = table.reindex(means["method"].unique())
+    return markdown("batch", table.reset_index(names="million certified solves per second"))
 
 
 def algorithms() -> str:
@@ -235,19 +202,18 @@ def algorithms() -> str:
 def step_rules() -> str:
     """Return the flow from the 12-basis and from the network with every step rule."""
     times = chosen(saved("reproduce")[0], "case == 'times'").set_index(["start", "rule"])
-    made = [
+    columns = (("iterations", "iterations"), ("microseconds", "compiled call, us"))
+    starts = (("linear_combination", "12-basis"), ("learned_fixed", "network"))
+    rows = [
         {"step rule, median / p99": label}
         | {
             f"{start}: {name}": pair(times.loc[key, rule].to_dict(), column)
-            for column, name in (
-                ("iterations", "iterations"),
-                ("microseconds", "compiled call, us"),
-            )
-            for key, start in (("linear_combination", "12-basis"), ("learned_fixed", "network"))
+            for column, name in columns
+            for key, start in starts
         }
         for rule, label in RULES.items()
     ]
-    return markdown("reproduce", pd.DataFrame(made))
+    return markdown("reproduce", pd.DataFrame(rows))
 
 
 def table_one() -> str:
@@ -257,9 +223,9 @@ def table_one() -> str:
         chosen(means, f"case == '{case}'").set_index("start")
         for case in ("table_one", "table_one_paper")
     )
-    made = [
+    rows = [
         {
-            "start": start.replace("_", " "),
+            "start": str(start).replace("_", " "),
             "sum of normal forces, paper [N]": paper.loc[start, "force_sum_median"],
             "ours [N]": row["force_sum_median"],
             "steps, paper": paper.loc[start, "iterations_median"],
@@ -267,13 +233,13 @@ def table_one() -> str:
         }
         for start, row in ours.iterrows()
     ]
-    return markdown("reproduce", pd.DataFrame(made))
+    return markdown("reproduce", pd.DataFrame(rows))
 
 
 def rl() -> str:
     """Return agents, the paper's start, the previous solution and the learned start."""
     means = chosen(saved("rl")[0], "case == 'held_out'")
-    made = []
+    rows = []
     for environment in means["environment"].unique():
         here = means[means["environment"] == environment].set_index("agent")
         zero = here.loc["zero"]
@@ -281,65 +247,64 @@ def rl() -> str:
             if agent not in here.index:
                 continue
             row = here.loc[agent]
-            held = (
-                f"{row['held_sum']:.0f} of {row['held_sum'] / row['held_mean']:.0f}"
-                if row["held_mean"]
-                else "none"
-            )
-            saved_parts = (
-                1.0 - row[f"{name}_mean"] / zero[f"{name}_mean"]
+            held = "none"
+            if row["held_mean"]:
+                held = f"{row['held_sum']:.0f} of {row['held_sum'] / row['held_mean']:.0f}"
+            savings = (
+                100.0 * (1.0 - row[f"{name}_mean"] / zero[f"{name}_mean"])
                 for name in ("commanded_force", "torque_share")
             )
-            made.append(
+            iterations = (row[f"iterations_{name}"] for name in ("median", "p95", "p99"))
+            rows.append(
                 {
                     "environment": place(environment),
                     "policy": label,
                     "held": held,
-                    "iterations, median / p95 / p99": " / ".join(
-                        cell(row[f"iterations_{part}"]) for part in ("median", "p95", "p99")
-                    ),
+                    "iterations, median / p95 / p99": " / ".join(map(cell, iterations)),
                     "relative to the paper": row["mean_iterations_median"]
                     / zero["mean_iterations_median"],
                     "force / torque saved [%]": " / ".join(
-                        f"{100.0 * part:.1f}" for part in saved_parts
+                        f"{saving:.1f}" for saving in savings
                     ).replace("-0.0", "0.0"),
                     "return, interquartile mean": row["return_iqm"],
                 }
             )
-    return markdown("rl", pd.DataFrame(made))
+    return markdown("rl", pd.DataFrame(rows))
 
 
 def rl_speed() -> str:
     """Return steps per second and training times."""
     means = saved("rl")[0]
-    made = []
+    rows = []
     for environment in chosen(means, "case == 'with training'")["environment"].unique():
         here = means[means["environment"] == environment]
         for agent, (label, _) in AGENTS.items():
             mine = here[here["agent"] == agent].set_index("case")
             if "with training" in mine.index:
-                made.append(
+                rows.append(
                     {
                         "environment": place(environment),
                         "agent": label,
-                        **{
-                            f"steps/s, {case}": round(mine.loc[case, "per_second_median"])
-                            for case in SPEEDS
-                        },
+                    }
+                    | {
+                        f"steps/s, {case}": round(mine.loc[case, "per_second_median"])
+                        for case in SPEEDS
+                    }
+                    | {
                         "longest training [s of a core]": round(
                             mine.loc["training", "cpu_seconds_max"]
-                        ),
+                        )
                     }
                 )
-    return markdown("rl", pd.DataFrame(made))
+    return markdown("rl", pd.DataFrame(rows))
 
 
 def layer() -> str:
     """Return times of the force layer and of other differentiable layers, forward and backward."""
-    means = saved("layer")[0]
-    means = means[means["microseconds_median"].notna()]
+    summary = saved("layer")[0]
+    means = summary[summary["microseconds_median"].notna()]
     case = {"hard": "", "limits": ", within the limits of 12 joints", "soft": ", soft contacts"}
-    made = means.assign(
+    table = means.assign(
         text=[
             number(row["microseconds_median"])
             + (f" ({row['ratio_median']:.0f}x)" if row["ratio_median"] > 0 else "")
@@ -347,24 +312,21 @@ def layer() -> str:
         ],
         name=[LAYERS[row["method"]] + case[row["case"]] for row in means.to_dict("records")],
     )
-    order = made["name"].unique()
-    made = made.pivot(index="name", columns="batch", values="text").reindex(order).fillna("–")
-    made.columns = [f"batch of {size}" for size in made.columns]
-    agree = chosen(
-        saved("layer")[0], "case == 'hard, answers' and method == 'cvxpylayers_clarabel'"
-    )
+    order = table["name"].unique()
+    table = table.pivot(index="name", columns="batch", values="text").reindex(order).fillna("–")
+    table.columns = [f"batch of {size}" for size in table.columns]
+    answers = chosen(summary, "case == 'hard, answers' and method == 'cvxpylayers_clarabel'")
     note = "Forward and backward in us per problem, in brackets relative to ours, on one core, four contacts. "
-    if len(agree):
-        row = agree.iloc[0]
+    for row in answers.to_dict("records"):
         note += f"Forces differ from Clarabel's by at most {row['force_difference_max']:.0e}, gradients by {row['gradient_difference_median']:.0e} in the median."
-    return markdown("layer", made.reset_index(names="layer"), note)
+    return markdown("layer", table.reset_index(names="layer"), note)
 
 
 def hand_loop() -> str:
     """Return latencies and losses of the hardware example."""
     means = saved("hand_loop")[0]
     names = {"cpp": "C++", "python": "Python"}
-    made = [
+    rows = [
         {"controller": names[row["method"]], "time": row["case"], "n": row["n"], **latencies(row)}
         for row in chosen(means, "case != 'run'").to_dict("records")
     ]
@@ -374,7 +336,7 @@ def hand_loop() -> str:
         f"the ball moved by at most {row['drift_max']:.2f} mm."
         for row in chosen(means, "case == 'run'").to_dict("records")
     ]
-    return markdown("hand_loop", pd.DataFrame(made), "\n".join(sentences))
+    return markdown("hand_loop", pd.DataFrame(rows), "\n".join(sentences))
 
 
 def latencies(row: dict[str, Any]) -> dict[str, str]:
@@ -384,53 +346,43 @@ def latencies(row: dict[str, Any]) -> dict[str, str]:
 
 
 def objects() -> str:
-    """Return the real objects that hands held under gravity, and how often they held them under the
-    random wrench.
-    """
+    """Return the real objects that hands held under gravity and under the random wrench."""
     means = saved("objects")[0]
-    pairs = means.pivot(
-        index=["object", "hand", "engine"], columns="case", values=["held_sum", "n"]
-    )
-    made: dict[str, dict[str, str]] = {}
+    keys = ["object", "hand", "engine"]
+    pairs = means.pivot(index=keys, columns="case", values=["held_sum", "n"])
+    table: dict[str, dict[str, str]] = {}
     for (name, hand, engine), row in pairs.iterrows():
         if engine == "bullet":
             gravity = "held" if row["held_sum", "mesh_gravity"] else "**lost**"
             random = f"{row['held_sum', 'mesh_random']:.0f} of {row['n', 'mesh_random']:.0f}"
-            made.setdefault(name, {"gravity; random wrench, in Bullet": name})[hand] = (
-                f"{gravity}; {random}"
-            )
+            line = table.setdefault(name, {"gravity; random wrench, in Bullet": name})
+            line[hand] = f"{gravity}; {random}"
+    labels = {
+        "mesh_gravity": "gravity",
+        "mesh_random": "random wrench",
+        "mesh_six_directions": "six pushes",
+    }
     sentences = []
-    for engine, found in means.groupby("engine", sort=False):
-        sums = found.groupby("case")[["held_sum", "n"]].sum()
-        sentences.append(
-            f"{engine}: "
-            + ", ".join(
-                f"{label} {sums.loc[case, 'held_sum']:.0f} of {sums.loc[case, 'n']:.0f}"
-                for case, label in (
-                    ("mesh_gravity", "gravity"),
-                    ("mesh_random", "random wrench"),
-                    ("mesh_six_directions", "six pushes"),
-                )
-            )
+    for engine, group in means.groupby("engine", sort=False):
+        sums = group.groupby("case")[["held_sum", "n"]].sum()
+        counts = (
+            f"{label} {sums.loc[case, 'held_sum']:.0f} of {sums.loc[case, 'n']:.0f}"
+            for case, label in labels.items()
         )
+        sentences.append(f"{engine}: {', '.join(counts)}")
     note = f'All pairs, by engine (`faces`: Bullet with `mesh_contacts="faces"`). {"; ".join(sentences)}.'
-    return markdown("objects", pd.DataFrame(made.values()), note)
+    return markdown("objects", pd.DataFrame(table.values()), note)
 
 
 def overview() -> str:
-    """Return the table of README.md: the main numbers, each with its target or a comparison."""
+    """Return the table of README.md: the main numbers with targets or comparisons."""
 
     def row(kind: str, query: str) -> dict[str, Any]:
         return chosen(saved(kind)[0], query).to_dict("records")[0]
 
     def varied(start: str, method: str, column: str) -> str:
-        return pair(
-            row(
-                "starts",
-                f"case == 'ball_frictions' and start == '{start}' and method == '{method}'",
-            ),
-            column,
-        )
+        query = f"case == 'ball_frictions' and start == '{start}' and method == '{method}'"
+        return pair(row("starts", query), column)
 
     def layer(method: str) -> dict[str, Any]:
         return row("layer", f"case == 'hard' and method == '{method}' and batch == 1000")
@@ -438,7 +390,8 @@ def overview() -> str:
     constant = row(
         "reproduce", "case == 'times' and rule == 'fixed' and start == 'linear_combination'"
     )
-    engines = max(judged("transfer"), key=lambda one: abs(one.measured or 0.0))
+    engines = max(judged("transfer"), key=lambda claim: abs(claim.measured or 0.0))
+    objects = row("env", "case == 'objects' and controller == 'paper'")
     rows = [
         *(
             [
@@ -475,9 +428,7 @@ def overview() -> str:
         ],
         [
             "random objects held for 4 s under a random wrench",
-            "{held_sum:.0f} of {n}".format(
-                **row("env", "case == 'objects' and controller == 'paper'")
-            ),
+            f"{objects['held_sum']:.0f} of {objects['n']}",
             "target: at least 99 %",
         ],
         [
@@ -486,24 +437,21 @@ def overview() -> str:
             f"target: {engines.target}",
         ],
         *(
-            [f"**missed**: {name}", one.result + unit, f"target: {one.target}{unit}"]
+            [f"**missed**: {name}", claim.result + unit, f"target: {claim.target}{unit}"]
             for kind in ("starts", "layer", "env", "env_speed")
-            for one in judged(kind)
-            if one.met is False
-            for name, unit in [PLAIN.get(one.claim.name, (one.claim.name, ""))]
+            for claim in judged(kind)
+            if claim.met is False
+            for name, unit in [PLAIN.get(claim.claim.name, (claim.claim.name, ""))]
         ),
     ]
-    return markdown(
-        "starts", pd.DataFrame(rows, columns=["quantity", "measured", "target or comparison"])
-    )
+    columns = ["quantity", "measured", "target or comparison"]
+    return markdown("starts", pd.DataFrame(rows, columns=columns))
 
 
 def fixed_contacts(method: str) -> str:
     """Return p50 / p99 [us] of an entrant on jumps of the wrench, 3 to 5 fixed contacts."""
-    rows = chosen(
-        force_rows()[0],
-        f"objective == 'sum' and case == 'jumps' and mode == 'persistent' and method == '{method}'",
-    )
+    cell = "objective == 'sum' and case == 'jumps' and mode == 'persistent'"
+    rows = chosen(force_rows()[0], f"{cell} and method == '{method}'")
     return pair_of(numbers(rows, "microseconds"))
 
 
@@ -546,11 +494,10 @@ def save(folder: Path) -> str:
     else:
         write_summary(RESULTS / f"{about['kind']}.csv", summary(rows))
     with replacing(RESULTS / f"{about['kind']}.json") as target:
-        kept = json.dumps({name: about[name] for name in PROVENANCE if name in about}, indent=1)
+        text = json.dumps({name: about[name] for name in PROVENANCE if name in about}, indent=1)
         # a path belongs to one machine
-        target.write_text(
-            re.sub(r"(?<![\w.])/[^\s\"]*/(?=[^\s\"])", "", kept) + "\n", encoding="utf-8"
-        )
+        text = re.sub(r"(?<![\w.])/[^\s\"]*/(?=[^\s\"])", "", text)
+        target.write_text(text + "\n", encoding="utf-8")
     for picture in folder.glob("*.svg"):
         with replacing(RESULTS / f"{about['kind']}.svg") as target:
             target.write_bytes(picture.read_bytes())
@@ -580,21 +527,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--check", action="store_true")
     parser.add_argument("--save", nargs="+", type=Path, default=[])
-    given = parser.parse_args(arguments)
-    for path in given.save:
+    args = parser.parse_args(arguments)
+    for path in args.save:
         sys.stdout.write(f"{path} -> docs/results/{save(path)}.csv\n")
     differ = 0
     for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):
         text, changed = filled(page.read_text(encoding="utf-8"))
         differ += len(changed)
         for name in changed:
-            sys.stdout.write(
-                f"{page.name}: {name}{' differs from docs/results' if given.check else ''}\n"
-            )
-        if changed and not given.check:
+            fault = " differs from docs/results" if args.check else ""
+            sys.stdout.write(f"{page.name}: {name}{fault}\n")
+        if changed and not args.check:
             with replacing(page) as target:
                 target.write_text(text, encoding="utf-8")
-    return int(given.check and differ > 0)
+    return int(args.check and differ > 0)
 
 
 if __name__ == "__main__":
