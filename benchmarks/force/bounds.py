@@ -1,12 +1,12 @@
 """Bounds and proofs from a force, multipliers or a witness, computed from the problem alone.
 
-`Measure` holds every formula, for NumPy's floats and for object arrays of mpmath's numbers, which
-`references.py` gives it. Forces and moments are compared in N: moments are taken about the centre
-of the contacts that touch and divided by their root mean square distance from it.
+`Measure` holds every formula, for floats and for object arrays of mpmath's numbers. Forces and
+moments are compared in N: moments are taken about the centre of the contacts that touch and divided
+by their root mean square distance from it.
 
-The multipliers are (nu, p), those of balance (6,) and the prices of the limits (L,) >= 0. The
-gradient of an objective is G^T nu - B^T p plus a part that the cones carry, and d objective / d
-wrench = -nu. This module needs numpy only.
+The multipliers are (nu, p), those of balance (6,) and of the limits (L,) >= 0. The gradient of an
+objective is G^T nu - B^T p plus a part that the cones carry, and d objective / d wrench = -nu. This
+module needs numpy only.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ ROUNDING = 1e-15
 
 
 def least(low: Numbers, high: Numbers, weight: Any) -> tuple[Numbers, Numbers, Numbers]:
-    """The least over a cone of (low p + high q) / 2 + weight (2 / (p + q) + 1 / p + 1 / q), with p
-    = u + s and q = u - s.
+    """Minimise (low p + high q) / 2 + weight (2 / (p + q) + 1 / p + 1 / q) over a cone.
 
-    At a fixed ratio r = q / p the least over p is 2 sqrt(weight c1 c2), c1 = (low + high r) / 2, c2
+    Here p = u + s and q = u - s. At a fixed ratio r = q / p the least over p is 2 sqrt(weight c1 c2), c1 = (low + high r) / 2, c2
     = 1 + 1 / r + 2 / (1 + r). Over r it is stationary where r^2 ((1 + r)^2 + 2) = k ((1 + r)^2 + 2
     r^2), k = low / high.
 
     Args:
-        low: (N,) >= 0, high: (N,) >= low; both with the price of u in them.
+        low: (N,) >= 0.
+        high: (N,) >= low; both include the cost of u.
         weight: lambda.
 
     Returns:
@@ -97,8 +97,9 @@ class Measure:
         number: Callable[[Any], Numbers] = np.asarray,
         frames: Numbers | None = None,
     ) -> Measure:
-        """Return the measure of a problem, in the numbers that `number` makes of arrays; `frames`
-        replace those of the problem.
+        """Build the measure with arrays converted by `number` (float64 or mpmath).
+
+        `frames` replace those of the problem.
         """
         n, k = problem.n_contacts, problem.width
         touching = np.ones(n, dtype=bool) if problem.touching is None else problem.touching
@@ -108,7 +109,7 @@ class Measure:
         centre = positions[touching].sum(axis=0) / int(touching.sum())
         arms = positions - centre
         length = np.sqrt((arms[touching] ** 2).sum(axis=0).sum() / int(touching.sum()))
-        # one column a row
+        # one column per row
         columns = (number(problem.frames) if frames is None else frames).transpose(0, 2, 1)
         matrix = np.concatenate([columns, np.cross(arms[:, None] / length, columns)], axis=2)
         if k == 4:
@@ -130,22 +131,20 @@ class Measure:
         )
 
     def twist(self, nu: Numbers) -> Numbers:
-        """Multipliers nu (6,) about the origin as those about the centre [N per N]."""
+        """Convert multipliers nu (6,) about the origin to those about the centre [N per N]."""
         return np.concatenate([nu[:3] + np.cross(nu[3:], self.centre), nu[3:] * self.length])
 
     def about_origin(self, twist: Numbers) -> Numbers:
-        """The inverse of `twist`."""
+        """Invert `twist`."""
         turn = twist[3:] / self.length
         return np.concatenate([twist[:3] - np.cross(turn, self.centre), turn])
 
-    def price(self, name: str) -> Numbers:
-        """Return (N,) the cost of a newton of normal force without the barrier."""
+    def cost(self, name: str) -> Numbers:
+        """Return the costs (N,) of a newton of normal force without the barrier."""
         return 3 * self.friction if name == "phi" else 1 + 0 * self.friction
 
     def objective(self, name: str, force: Numbers) -> Any:
-        """Return the objective at a force (N k,) [N]; `phi` is +inf unless the force is strictly
-        inside every cone.
-        """
+        """Return the objective at a force (N k,) [N]; `phi` is inf unless it is inside all cones."""
         f = force.reshape(len(self.friction), -1)[self.touching]
         if name == "sum":
             return f[:, 0].sum()
@@ -156,17 +155,15 @@ class Measure:
         return (3 * u + self.weight * (1 / u + 2 * u / ((u - s) * (u + s)))).sum()
 
     def missed(self, force: Numbers) -> Numbers:
-        """(6,) G f + w [N]."""
+        """Return G f + w (6,) [N]."""
         return self.matrix.reshape(6, -1) @ force + self.load
 
     def over(self, force: Numbers) -> Numbers:
-        """(L,) B f - b [N, N m]."""
+        """Return B f - b (L,) [N, N m]."""
         return (self.rows.reshape(len(self.bound), len(force)) * force).sum(axis=1) - self.bound
 
     def inside(self, force: Numbers) -> Numbers:
-        """Return the force with normal forces raised into the cones, and without components that a
-        contact cannot transmit.
-        """
+        """Raise normal forces into the cones and drop components that a contact cannot transmit."""
         f = force.reshape(len(self.friction), -1) * self.touching[:, None]
         s = np.sqrt(f[:, 1] ** 2 + f[:, 2] ** 2)
         f[:, 0] = np.maximum(f[:, 0], s / self.friction)
@@ -176,26 +173,23 @@ class Measure:
         return f.reshape(-1)
 
     def upper(self, name: str, force: Numbers, multipliers: Numbers) -> Any:
-        """Return an upper bound of the optimum from a force that may violate balance, cones and
-        limits a little.
+        """Return an upper bound of the optimum from a force with small residuals.
 
-        Normal forces are raised into the cones first. Then the residuals of balance and limits are
-        added at the prices of the multipliers, each component with its absolute value. By convexity
-        this is a bound if the multipliers are optimal.
+        Normal forces are raised into the cones first. Then the absolute residuals of balance and
+        limits are added times the multipliers. By convexity this is a bound if the multipliers are
+        optimal.
         """
         f = self.inside(force) if name == "sum" else force
-        cost = np.abs(self.twist(multipliers[:6])) @ np.abs(self.missed(f))
-        return (
-            self.objective(name, f)
-            + cost
-            + (np.abs(multipliers[6:]) * np.maximum(self.over(f), 0)).sum()
-        )
+        balance = np.abs(self.twist(multipliers[:6])) @ np.abs(self.missed(f))
+        limits = (np.abs(multipliers[6:]) * np.maximum(self.over(f), 0)).sum()
+        return self.objective(name, f) + balance + limits
 
-    def pull(self, twist: Numbers, prices: Numbers) -> tuple[Numbers, Numbers, Numbers]:
-        """G^T v - B^T p of each contact: along the normal, tangential, and the least price of a
-        newton that outweighs both, (N,) each.
+    def pull(self, twist: Numbers, p: Numbers) -> tuple[Numbers, Numbers, Numbers]:
+        """Return G^T v - B^T p along the normal, tangential, and the least cost that outweighs both.
+
+        Each is (N,); the cost is that of a newton of normal force.
         """
-        g = np.einsum("rnk,r->nk", self.matrix, twist) - np.einsum("lnk,l->nk", self.rows, prices)
+        g = np.einsum("rnk,r->nk", self.matrix, twist) - np.einsum("lnk,l->nk", self.rows, p)
         sideways = np.sqrt(g[:, 1] ** 2 + g[:, 2] ** 2)
         spin = self.spin * np.abs(g[:, 3]) if g.shape[1] == 4 else 0 * sideways
         return g[:, 0], sideways, g[:, 0] + self.friction * sideways + spin
@@ -203,42 +197,39 @@ class Measure:
     def lower(self, name: str, multipliers: Numbers) -> Any:
         """Return a lower bound of the optimum from any multipliers (6 + L,).
 
-        It is the least of the Lagrangian over the cones. With a = price - G^T nu + B^T p, the
-        Lagrangian is a . f - nu . w - p . b and the barrier of `phi`. It has a least value where
+        It is the least of the Lagrangian over the cones. With a = cost - G^T nu + B^T p, the
+        Lagrangian is a . f - nu . w - p . b plus the barrier of `phi`. It has a least value where
         a_n >= friction hypot(a_o, a_t) + torsional_friction abs(a_tau) at every contact: the
-        multipliers are multiplied by the largest theta <= 1 for which that holds. The price of a
-        newton of normal force is 1, or 3 friction for `phi`, whose barrier adds its own least value
+        multipliers are multiplied by the largest theta <= 1 for which that holds. The cost of a
+        newton of normal force is 1, or 3 friction for `phi`, whose barrier adds its least value
         (`least`).
         """
         twist = self.twist(multipliers[:6])
-        prices = np.maximum(multipliers[6:], 0)
-        cost = self.price(name)
-        along, sideways, need = self.pull(twist, prices)
+        p = np.maximum(multipliers[6:], 0)
+        cost = self.cost(name)
+        along, sideways, need = self.pull(twist, p)
         most = (need / cost)[self.touching].max()
         theta = 1 / most if most > 1 else most * 0 + 1
-        bound = -(theta * (twist @ self.load + (prices * self.bound).sum()))
+        bound = -(theta * (twist @ self.load + (p * self.bound).sum()))
         if name == "phi":
             mu = self.friction
             low = (cost - theta * need) / mu
             high = (cost - theta * along) / mu + theta * sideways
-            bound += least(np.maximum(low, 0)[self.touching], high[self.touching], self.weight)[
-                0
-            ].sum()
+            low = np.maximum(low, 0)
+            bound += least(low[self.touching], high[self.touching], self.weight)[0].sum()
         return bound
 
     def balance(self, force: Array) -> float:
-        """Return the relative residual of balance of a force (N k,): the largest |component| of G f
-        + w over that of the wrench.
+        """Return the largest |component| of G f + w of a force (N k,) over that of the wrench.
 
         Without a wrench it is relative to the largest |component| of the force, torsion divided by
         the length.
         """
         size = np.abs(self.load).max() or np.abs(self._in_newtons(force)).max()
-        return _part(np.abs(self.missed(force)).max(), size)
+        return _relative(np.abs(self.missed(force)).max(), size)
 
     def violation(self, force: Array) -> float:
-        """Return the distance of a force (N k,) from the cones, relative to the largest |normal
-        force|; 0 inside.
+        """Return the distance of a force (N k,) from the cones over the largest |normal force|.
 
         It is the largest of hypot(o, t) - friction * normal, -normal, and abs(torsion) /
         torsional_friction - normal over contacts that touch, and of |components| of the others.
@@ -253,12 +244,10 @@ class Measure:
             lever = np.where(spins, self.spin, 1.0) / self.length
             outside = np.maximum(outside, np.where(spins, torsion / lever - normal, torsion))
         outside = np.where(self.touching, outside, np.abs(f).max(axis=1))
-        return _part(max(outside.max(), 0.0), np.abs(normal).max())
+        return _relative(max(outside.max(), 0.0), np.abs(normal).max())
 
     def excess(self, force: Array) -> float:
-        """Return the largest excess of a limit by a force (N k,), as a part of that limit; 0 within
-        all.
-        """
+        """Return the largest excess of a force (N k,) over a limit, relative to that limit, or 0."""
         return float((self.over(force) / self.size).max(initial=0.0))
 
     def witness(self, multipliers: Array) -> float:
@@ -271,41 +260,38 @@ class Measure:
         outside its dual cone, `ROUNDING` included, its normal force could gain that distance. It is
         subtracted, times the largest normal force: that contact's limit, or `REACH` times the
         wrench (or the largest least normal force, if that is larger) for all contacts without a
-        limit together. So the proof is complete where every contact has a limit or lies inside its
+        limit together. So the proof is complete if every contact has a limit or lies inside its
         dual cone, and else holds up to that total of normal forces.
         """
         if not np.isfinite(multipliers).all():
             return -np.inf
         twist = self.twist(multipliers[:6])
-        prices = np.maximum(multipliers[6:], 0.0)
+        p = np.maximum(multipliers[6:], 0.0)
         length = float(np.linalg.norm(twist))
         load = float(np.linalg.norm(self.load))
         sizes = (1.0 + self.friction + self.spin / self.length) * (
-            length + np.einsum("lnk,l->n", np.abs(self.rows), prices)
+            length + np.einsum("lnk,l->n", np.abs(self.rows), p)
         )
-        gained = np.maximum(self.pull(-twist, prices)[2] + ROUNDING * sizes, 0.0) * self.touching
+        gained = np.maximum(self.pull(-twist, p)[2] + ROUNDING * sizes, 0.0) * self.touching
         least = self.problem.min_normal
         most = self.problem.max_normal
         most = np.full(len(gained), np.inf) if most is None else most
         limited = np.isfinite(most)
         largest = load if least is None else max(load, least.max())
-        repair = gained[limited] @ most[limited] + REACH * largest * gained[~limited].max(
-            initial=0.0
-        )
-        size = length * load + prices @ np.abs(self.bound)
-        return (
-            float((twist @ self.load - prices @ self.bound - repair) / size) - ROUNDING
-            if size > 0.0
-            else 0.0
-        )
+        unlimited = REACH * largest * gained[~limited].max(initial=0.0)
+        repair = gained[limited] @ most[limited] + unlimited
+        size = length * load + p @ np.abs(self.bound)
+        if not size > 0.0:
+            return 0.0
+        return float((twist @ self.load - p @ self.bound - repair) / size) - ROUNDING
 
     def _in_newtons(self, force: Array) -> Array:
-        """The force (N, k) with torsion divided by the length."""
+        """Return the force (N, k) with torsion divided by the length."""
         f = np.array(force, dtype=float).reshape(len(self.friction), -1)
         f[:, 3:] /= self.length
         return f
 
 
-def _part(value: float, size: float) -> float:
-    """`value` as a part of `size`; 0 of nothing is 0."""
+def _relative(value: float, size: float) -> float:
+    """Return value / size; 0 / 0 is 0."""
     return float(value / size) if size > 0.0 else (0.0 if value == 0.0 else np.inf)

@@ -1,9 +1,7 @@
 """The tracks, each generated from a seed.
 
-A new track is a function of a random generator and an entry of `TRACKS`.
-
-Numbers are drawn, then rounded to `DIGITS` significant digits, so that a seed gives the same bytes
-with other libraries and machines.
+A new track is a function of a random generator and an entry of `TRACKS`. Random numbers are rounded
+to `DIGITS` significant digits, so that a seed gives the same bytes everywhere.
 """
 
 from __future__ import annotations
@@ -33,17 +31,16 @@ LOAD = (2.0, 0.05)
 TICK = 0.002
 """Time between the problems of a path [s]."""
 CLEAR = 1e-3
-"""Least margin (`feasibility`) of a feasible problem, and of an infeasible one with the opposite
-sign."""
+"""Least margin (`feasibility`) of a feasible problem; infeasible ones have the opposite sign."""
 Arrays = dict[str, Any]
-Made = Iterator[tuple[str, Arrays]]
+Sessions = Iterator[tuple[str, Arrays]]
 
 
 def contacts(positions: Array, normals: Array, friction: Array | float) -> Arrays:
-    """The arrays of contacts (..., N, 3): o is the projection of e_x on the tangent plane, of e_y
-    where abs(n_x) > 0.9.
+    """Return the arrays of contacts (..., N, 3).
 
-    It is the rule of `grasp_env.grasp.contact_frames`, in sums whose order no processor changes.
+    o is the projection of e_x on the tangent plane, or of e_y where abs(n_x) > 0.9. This is the
+    rule of `grasp_env.grasp.contact_frames`, in sums whose order no processor changes.
     """
     n = short(normals)
     n = n / np.sqrt(n[..., :1] * n[..., :1] + n[..., 1:2] * n[..., 1:2] + n[..., 2:] * n[..., 2:])
@@ -61,10 +58,9 @@ def contacts(positions: Array, normals: Array, friction: Array | float) -> Array
 
 
 def arrays_of(grasp: Grasp) -> Arrays:
-    """The arrays of one grasp."""
-    return fixed(
-        contacts(np.array(grasp.positions), np.array(grasp.normals), np.array(grasp.friction))
-    )
+    """Return the arrays of one grasp."""
+    fields = (grasp.positions, grasp.normals, grasp.friction)
+    return fixed(contacts(*map(np.array, fields)))
 
 
 def fixed(arrays: Arrays) -> Arrays:
@@ -72,24 +68,22 @@ def fixed(arrays: Arrays) -> Arrays:
     return {name: array[None] for name, array in arrays.items()}
 
 
-def moving(each: list[Arrays]) -> Arrays:
+def moving(problems: list[Arrays]) -> Arrays:
     """Return the arrays of consecutive problems."""
-    return {name: np.concatenate([arrays[name] for arrays in each]) for name in each[0]}
+    return {name: np.concatenate([arrays[name] for arrays in problems]) for name in problems[0]}
 
 
 def ball(rng: np.random.Generator, count: int, size: float = 1.0) -> Array:
-    """(count, 6) wrenches: force and moment in balls of radii `size` times `LOAD`."""
-    parts = rng.standard_normal((count, 2, 3))
-    parts /= np.sqrt((parts**2).sum(axis=2, keepdims=True))
-    return short(
-        (
-            parts * rng.random((count, 2, 1)) ** (1.0 / 3.0) * size * np.array(LOAD)[None, :, None]
-        ).reshape(count, 6)
-    )
+    """Draw wrenches (count, 6): force and moment in balls of radii `size` times `LOAD`."""
+    vectors = rng.standard_normal((count, 2, 3))
+    vectors /= np.sqrt((vectors**2).sum(axis=2, keepdims=True))
+    radii = rng.random((count, 2, 1)) ** (1.0 / 3.0)
+    loads = vectors * radii * size * np.array(LOAD)[None, :, None]
+    return short(loads.reshape(count, 6))
 
 
 def wave(rng: np.random.Generator, count: int, size: float = 1.0) -> Array:
-    """(count, 6) wrenches along a smooth path: four sines of 0.3 to 3 Hz in every component."""
+    """Draw wrenches (count, 6) on a smooth path: four sines of 0.3 to 3 Hz in every component."""
     time = TICK * np.arange(count)[:, None, None]
     rate = rng.uniform(0.3, 3.0, (6, 4))
     phase = rng.uniform(0.0, 2.0 * np.pi, (6, 4))
@@ -97,23 +91,20 @@ def wave(rng: np.random.Generator, count: int, size: float = 1.0) -> Array:
     return short(0.35 * size * sines.sum(axis=2) * np.repeat(LOAD, 3))
 
 
-def cold(rng: np.random.Generator) -> Made:
+def cold(rng: np.random.Generator) -> Sessions:
     """Seven grasps of each size, in turn."""
     for n, preset in PRESETS.items():
         grasps = [arrays_of(preset()), *(arrays_of(GRASPS.closed(rng, n)) for _ in range(6))]
-        yield (
-            f"{n}",
-            moving([grasps[k % len(grasps)] for k in range(70)]) | {"wrench": ball(rng, 70)},
-        )
+        yield f"{n}", moving(10 * grasps) | {"wrench": ball(rng, 70)}
 
 
-def smooth(rng: np.random.Generator) -> Made:
+def smooth(rng: np.random.Generator) -> Sessions:
     """Known grasps along a smooth path."""
     for n, preset in PRESETS.items():
         yield f"{n}", arrays_of(preset()) | {"wrench": wave(rng, 150)}
 
 
-def jumps(rng: np.random.Generator) -> Made:
+def jumps(rng: np.random.Generator) -> Sessions:
     """Known grasps whose wrench jumps towards another one."""
     for n, preset in PRESETS.items():
         path = [ball(rng, 1)[0]]
@@ -124,7 +115,7 @@ def jumps(rng: np.random.Generator) -> Made:
         yield f"{n}", arrays_of(preset()) | {"wrench": short(path)}
 
 
-def roll(rng: np.random.Generator) -> Made:
+def roll(rng: np.random.Generator) -> Sessions:
     """Contacts that move by up to 5 mm, over a surface of 30 mm radius."""
     for n in PRESETS:
         grasp = GRASPS.closed(rng, n)
@@ -134,13 +125,12 @@ def roll(rng: np.random.Generator) -> Made:
         phase = rng.uniform(0.0, 2.0 * np.pi, (n, 2))
         moved = 0.0035 * np.sin(2.0 * np.pi * rate * time + phase)  # (count, N, 2) along o and t
         steps = np.einsum("nak,mnk->mna", grasp.frames[:, :, 1:], moved)
-        moving_contacts = contacts(
-            grasp.positions + steps, grasp.normals - steps / 0.03, grasp.friction
-        )
-        yield f"{n}", moving_contacts | {"wrench": wave(rng, count)}
+        normals = grasp.normals - steps / 0.03
+        rolling = contacts(grasp.positions + steps, normals, grasp.friction)
+        yield f"{n}", rolling | {"wrench": wave(rng, count)}
 
 
-def lost(rng: np.random.Generator) -> Made:
+def lost(rng: np.random.Generator) -> Sessions:
     """Sessions in which another finger loses contact every ten problems."""
     for n in (4, 5, 6):
         grasp = GRASPS.closed(rng, n)
@@ -152,75 +142,63 @@ def lost(rng: np.random.Generator) -> Made:
         yield f"{n}", arrays_of(grasp) | {"touching": touching, "wrench": wave(rng, 100)}
 
 
-def random(rng: np.random.Generator) -> Made:
+def random(rng: np.random.Generator) -> Sessions:
     """A new grasp for every problem."""
     for n in range(3, 17):
-        yield (
-            f"{n}",
-            moving([arrays_of(GRASPS.closed(rng, n)) for _ in range(25)])
-            | {"wrench": ball(rng, 25)},
-        )
+        grasps = moving([arrays_of(GRASPS.closed(rng, n)) for _ in range(25)])
+        yield f"{n}", grasps | {"wrench": ball(rng, 25)}
 
 
-def hands(rng: np.random.Generator) -> Made:
+def hands(rng: np.random.Generator) -> Sessions:
     """A hand's contacts with the object's weight and a random wrench."""
     for name, hand in recorded():
-        yield (
-            name,
-            arrays_of(grasp_of_hand(hand)) | {"wrench": short(weight(hand) + ball(rng, 15, 0.5))},
-        )
+        loads = short(weight(hand) + ball(rng, 15, 0.5))
+        yield name, arrays_of(grasp_of_hand(hand)) | {"wrench": loads}
 
 
-def own(rng: np.random.Generator) -> Made:
-    """Loads of 0.3 to 0.95 of the largest that the motors carry in their direction: limits bind at
-    many.
-    """
+def own(rng: np.random.Generator) -> Sessions:
+    """Loads of 0.3 to 0.95 of the largest that the motors can carry."""
     for name, hand in recorded():
         if not shares_joints(hand["jacobian"]):
             yield name, _limited(rng, hand, 20)
 
 
-def shared(rng: np.random.Generator) -> Made:
-    """One motor for each pair of joints of the two last fingers, where a hand has none that fingers
-    share.
-    """
+def shared(rng: np.random.Generator) -> Sessions:
+    """The same with shared joints; a hand without any has those of its two last fingers coupled."""
     for name, hand in recorded():
         yield name, _limited(rng, hand if shares_joints(hand["jacobian"]) else coupled(hand), 15)
 
 
-def soft(rng: np.random.Generator) -> Made:
+def soft(rng: np.random.Generator) -> Sessions:
     """Two or three soft fingertips around an object of 40 to 80 mm."""
     for n in (2, 2, 2, 2, 3, 3):
         angles = np.arange(n) * 2.0 * np.pi / n + rng.uniform(-0.15, 0.15, n)
         outward = np.stack([np.cos(angles), np.sin(angles), rng.uniform(-0.15, 0.15, n)], axis=1)
         half = rng.uniform(0.02, 0.04)
         gamma = short(rng.uniform(0.002, 0.008, n))
-        arrays = fixed(
-            contacts(half * outward, -outward, rng.uniform(0.4, 0.9))
-            | {"torsional_friction": gamma}
-        )
+        friction = rng.uniform(0.4, 0.9)
+        tips = contacts(half * outward, -outward, friction) | {"torsional_friction": gamma}
+        arrays = fixed(tips)
         loads = [w for w in ball(rng, 200, 0.5) if _depth(arrays, w) > CLEAR]
         yield f"{n}, {1000 * half:.0f} mm, {len(loads)}", arrays | {"wrench": np.array(loads[:30])}
 
 
-def infeasible(rng: np.random.Generator) -> Made:
-    """Contacts without force closure, motors that are too weak, and soft pinches that may not be
-    squeezed enough.
-    """
+def infeasible(rng: np.random.Generator) -> Sessions:
+    """Contacts without force closure, weak motors, and soft pinches with limited squeeze."""
     for n in (3, 4, 5):
-        each = []
+        problems = []
         loads = []
-        while len(each) < 25:
+        while len(problems) < 25:
             grasp = GRASPS.draw(rng, n)
             load = ball(rng, 1)[0]
             if feasibility(grasp, load).margin < -CLEAR:
-                each.append(arrays_of(grasp))
+                problems.append(arrays_of(grasp))
                 loads.append(load)
-        yield f"no closure, {n}", moving(each) | {"wrench": np.array(loads)}
+        yield f"no closure, {n}", moving(problems) | {"wrench": np.array(loads)}
     for name, hand in recorded()[::4]:
         arrays = _limited(rng, hand, 12)
-        beyond = short(arrays["wrench"] * (_most(arrays)[:, None] * rng.uniform(1.2, 3.0, (12, 1))))
-        yield f"weak motors, {name}", arrays | {"wrench": beyond}
+        factors = _largest(arrays)[:, None] * rng.uniform(1.2, 3.0, (12, 1))
+        yield f"weak motors, {name}", arrays | {"wrench": short(arrays["wrench"] * factors)}
     for half in (0.02, 0.03):
         inward = np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
         limits = {"torsional_friction": np.full(2, 0.005), "max_normal": np.full(2, 1.0)}
@@ -229,23 +207,23 @@ def infeasible(rng: np.random.Generator) -> Made:
         yield f"pinch, {1000 * half:.0f} mm", arrays | {"wrench": np.array(loads[:20])}
 
 
-def hard(rng: np.random.Generator) -> Made:
-    """Clustered contacts, grasps next to losing closure, objects and loads of all sizes, little
-    friction.
-    """
+def hard(rng: np.random.Generator) -> Sessions:
+    """Clustered contacts, grasps that nearly lose closure, all sizes, little friction."""
     for n in (3, 4, 5, 6):
         powers = (2, 2, 3, 3, 4, 4)
         loads = ball(rng, 24)
-        each = [_clustered(rng, n, 10.0 ** (-power - 2)) for power in powers]
-        each += [_next_to_losing_closure(rng, n, 10.0**-power) for power in powers]
+        problems = [_clustered(rng, n, 10.0 ** (-power - 2)) for power in powers]
+        problems += [_next_to_losing_closure(rng, n, 10.0**-power) for power in powers]
         for k in range(12, 18):
             length = 10.0 ** rng.uniform(-2.0, 2.0)
             size = 10.0 ** rng.uniform(-5.0, 5.0)
             grasp = GRASPS.closed(rng, n)
-            each.append(fixed(contacts(length * grasp.positions, grasp.normals, grasp.friction)))
+            problems.append(
+                fixed(contacts(length * grasp.positions, grasp.normals, grasp.friction))
+            )
             loads[k] *= size * np.repeat([1.0, length], 3)
-        each += [_slippery(rng, n, 0.05) for _ in range(6)]
-        yield f"{n}", moving(each) | {"wrench": short(loads)}
+        problems += [_slippery(rng, n, 0.05) for _ in range(6)]
+        yield f"{n}", moving(problems) | {"wrench": short(loads)}
 
 
 @dataclass(frozen=True)
@@ -260,7 +238,7 @@ class Recipes:
         digits: "exact" if its references are computed in many digits.
     """
 
-    make: Callable[[np.random.Generator], Made]
+    make: Callable[[np.random.Generator], Sessions]
     text: str
     modes: tuple[str, ...] = ("persistent",)
     objectives: tuple[str, ...] = ("sum", "phi")
@@ -298,12 +276,11 @@ TRACKS = {
         digits="exact",
     ),
 }
-"""Tracks in the order of the reports; a track's place is part of its seed, so new ones go to the
-end."""
+"""Tracks in the order of the reports, which is part of their seeds: new ones go to the end."""
 
 
 def generate(name: str, seed: int) -> Track:
-    """A track without references."""
+    """Generate a track without references."""
     recipe = TRACKS[name]
     place = list(TRACKS).index(name)
     rng = np.random.default_rng([seed, place])
@@ -324,25 +301,21 @@ def generate(name: str, seed: int) -> Track:
 
 
 def _limited(rng: np.random.Generator, hand: dict[str, Any], count: int) -> Arrays:
-    """A hand's contacts and torque limits, with loads of 0.3 to 0.95 of the largest in their
-    direction.
-    """
+    """Return a hand's arrays with loads of 0.3 to 0.95 of the largest in their direction."""
     grasp = grasp_of_hand(hand)
     limits = {name: short(hand[name])[None] for name in ("jacobian", "torque_limit", "torque_bias")}
     arrays = arrays_of(grasp) | limits | {"wrench": ball(rng, count)}
-    return arrays | {
-        "wrench": short(arrays["wrench"] * (_most(arrays) * rng.uniform(0.3, 0.95, count))[:, None])
-    }
+    factors = _largest(arrays) * rng.uniform(0.3, 0.95, count)
+    return arrays | {"wrench": short(arrays["wrench"] * factors[:, None])}
 
 
-def _most(arrays: Arrays) -> Array:
-    """(M,) the largest factor of each wrench that is feasible, to 2 %."""
+def _largest(arrays: Arrays) -> Array:
+    """Return the largest feasible factor (M,) of each wrench, to 2 %."""
     out = []
     for wrench in arrays["wrench"]:
         low, high = 0.0, 1.0
         while _depth(arrays, high * wrench) > 0.0 and high < 1e6:
-            low = high
-            high = 4.0 * high
+            low, high = high, 4.0 * high
         while high - low > 0.02 * high:
             middle = 0.5 * (low + high)
             low, high = (middle, high) if _depth(arrays, middle * wrench) > 0.0 else (low, middle)
@@ -351,7 +324,7 @@ def _most(arrays: Arrays) -> Array:
 
 
 def _depth(arrays: Arrays, wrench: Array) -> float:
-    """The margin of the first of some contacts with another wrench, by `feasibility`."""
+    """Return the margin of the first problem's contacts with another wrench."""
     first: Arrays = {name: array[0] for name, array in arrays.items()}
     first["wrench"] = wrench
     grasp, limits = grasp_of(Problem(**first))
@@ -359,31 +332,30 @@ def _depth(arrays: Arrays, wrench: Array) -> float:
 
 
 def _closes_without(grasp: Grasp, contact: int) -> bool:
-    kept = np.arange(grasp.n_contacts) != contact
+    others = np.arange(grasp.n_contacts) != contact
+    fields = (grasp.positions, grasp.normals, grasp.friction)
     try:
-        return GRASPS.closes(
-            Grasp.from_contacts(grasp.positions[kept], grasp.normals[kept], grasp.friction[kept])
-        )
+        return GRASPS.closes(Grasp.from_contacts(*(field[others] for field in fields)))
     except GraspError:
         return False
 
 
-def _clustered(rng: np.random.Generator, count: int, apart: float) -> Arrays:
-    """A grasp that closes with its last contact so far [m] from the first; of three contacts any."""
+def _clustered(rng: np.random.Generator, count: int, distance: float) -> Arrays:
+    """Draw a grasp whose last contact of four or more is this distance [m] from the first."""
     while True:
         grasp = GRASPS.closed(rng, count)
-        places = np.array(grasp.positions)
+        positions = np.array(grasp.positions)
         normals = np.array(grasp.normals)
         if count > 3:
-            places[-1] = places[0] + apart * grasp.frames[0, :, 1]
+            positions[-1] = positions[0] + distance * grasp.frames[0, :, 1]
             normals[-1] = normals[0]
-        arrays = fixed(contacts(places, normals, grasp.friction))
+        arrays = fixed(contacts(positions, normals, grasp.friction))
         if _depth(arrays, np.zeros(6)) > CLEAR:
             return arrays
 
 
 def _slippery(rng: np.random.Generator, count: int, friction: float) -> Arrays:
-    """A grasp that closes with so little friction; after many tries one with a little more."""
+    """Draw a grasp that closes with this friction, or after many tries with a little more."""
     while True:
         for _ in range(200):
             try:
@@ -396,7 +368,7 @@ def _slippery(rng: np.random.Generator, count: int, friction: float) -> Arrays:
 
 
 def _next_to_losing_closure(rng: np.random.Generator, count: int, above: float) -> Arrays:
-    """A grasp whose friction is by so much, relatively, above the least with which it closes."""
+    """Draw a grasp whose friction is this share above the least with which it closes."""
     while True:
         grasp = GRASPS.closed(rng, count)
         (low, high) = (1e-3, 1.0)

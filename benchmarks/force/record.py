@@ -1,8 +1,7 @@
-"""Contacts of real hands that hold objects, recorded after a reset of the environment: the source
-of the tracks with hands.
+"""Contacts of real hands that hold objects, the source of the tracks with hands.
 
-`python -m benchmarks.force record HAND...` writes hands.json again, where HAND is a built-in hand
-or a file. It needs the simulator and the files; the tracks are made from hands.json alone.
+`python -m benchmarks.force record HAND...` records them after a reset of the environment and writes
+hands.json, where HAND is a built-in hand or a file. The tracks need hands.json alone.
 """
 
 from __future__ import annotations
@@ -27,15 +26,13 @@ DIGITS = 9
 
 
 def write(hands: Sequence[str]) -> None:
-    """Write contacts, friction, Jacobian, torque limits and gravity torques of each hand around
-    each object, in the object frame.
-    """
+    """Record each hand around each object in `FILE`, in the object frame."""
     import gymnasium as gym
 
     from grasp_env.errors import GraspError
     from grasp_env.sim import HandDescription
 
-    made = []
+    lines = []
     for name in hands:
         builtin = getattr(HandDescription, name, None)
         hand = HandDescription.from_file(name) if builtin is None else builtin()
@@ -44,45 +41,39 @@ def write(hands: Sequence[str]) -> None:
             env = gym.make("grasp_env:FourFingerGrasp-v0", hand=hand, disturbance="none", **thing)
             try:
                 env.reset(seed=0)
-                seen = {
-                    "hand": Path(name).stem,
-                    "shape": shape,
-                    "mass": MASS,
-                    **_seen(env.unwrapped),
-                }
-                made.append(json.dumps(seen))
+                fields = {"hand": Path(name).stem, "shape": shape, "mass": MASS}
+                lines.append(json.dumps(fields | _contacts(env.unwrapped)))
             except GraspError as error:
                 print(f"{name}, {shape}: {error}")
             finally:
                 env.close()
     with replacing(FILE) as temporary:
-        temporary.write_text("[\n" + ",\n".join(made) + "\n]\n", encoding="utf-8")
+        temporary.write_text("[\n" + ",\n".join(lines) + "\n]\n", encoding="utf-8")
 
 
 def recorded() -> list[tuple[str, dict[str, Any]]]:
-    """Names and fields of all records."""
-    return [
-        (
-            f"{each['hand']}, {each['shape']}",
-            {k: np.array(v) if isinstance(v, list) else v for k, v in each.items()},
-        )
-        for each in json.loads(FILE.read_text(encoding="utf-8"))
-    ]
+    """Return names and fields of all records."""
+    records = json.loads(FILE.read_text(encoding="utf-8"))
+    arrays = (
+        {k: np.array(v) if isinstance(v, list) else v for k, v in record.items()}
+        for record in records
+    )
+    return [(f"{record['hand']}, {record['shape']}", record) for record in arrays]
 
 
 def grasp_of_hand(hand: dict[str, Any]) -> Grasp:
-    """The contacts of a record."""
+    """Return the contacts of a record."""
     normals = hand["normals"] / np.linalg.norm(hand["normals"], axis=1, keepdims=True)
     return Grasp.from_contacts(hand["positions"], normals, hand["friction"])
 
 
 def weight(hand: dict[str, Any]) -> Array:
-    """(6,) the wrench of the object's weight."""
+    """Return the wrench (6,) of the object's weight."""
     return np.concatenate([hand["mass"] * hand["gravity"], np.zeros(3)])
 
 
 def shares_joints(jacobian: Array) -> bool:
-    """True if a joint moves several contacts."""
+    """Return True if a joint moves several contacts."""
     return bool((np.abs(jacobian).max(axis=1) > 0.0).sum(axis=0).max() > 1)
 
 
@@ -95,38 +86,35 @@ def coupled(hand: dict[str, Any]) -> dict[str, Any]:
     for a, b in pairs:
         joined[b, a] = 1.0
     joined = np.delete(joined, [b for _, b in pairs], axis=1)
-    return hand | {
-        name: hand[name] @ joined for name in ("jacobian", "torque_bias", "torque_limit")
-    }
+    names = ("jacobian", "torque_bias", "torque_limit")
+    return hand | {name: hand[name] @ joined for name in names}
 
 
-def _seen(env: Any) -> dict[str, Any]:
+def _contacts(env: Any) -> dict[str, Any]:
     scene = env.scene
-    seen = scene.look()
+    state = scene.look()
     kinematics = scene.kinematics
-    touching = np.flatnonzero(seen.touching)
-    to_object = seen.rotation.T
-    jacobian = np.zeros((len(touching), 6, len(seen.angles)))
+    touching = np.flatnonzero(state.touching)
+    to_object = state.rotation.T
+    jacobian = np.zeros((len(touching), 6, len(state.angles)))
     for k, finger in enumerate(touching.tolist()):
-        jacobian[k, :3] = to_object @ kinematics.jacobian(seen.angles, finger, seen.touch[finger])
+        jacobian[k, :3] = to_object @ kinematics.jacobian(state.angles, finger, state.touch[finger])
     # coupled joints are in the column of their motor
     moves = np.abs(jacobian).max(axis=(0, 1)) > 0.0
     arrays = {
-        "positions": seen.points[touching],
-        "normals": seen.normals[touching],
+        "positions": state.points[touching],
+        "normals": state.normals[touching],
         "jacobian": jacobian[:, :, moves],
         "torque_limit": kinematics.torque_limits[moves],
-        "torque_bias": seen.gravity_torques[moves],
+        "torque_bias": state.gravity_torques[moves],
         "gravity": to_object @ scene.gravity,
     }
-    return {"friction": FRICTION} | {
-        name: short(array, DIGITS).tolist() for name, array in arrays.items()
-    }
+    rounded = {name: short(array, DIGITS).tolist() for name, array in arrays.items()}
+    return {"friction": FRICTION} | rounded
 
 
 def short(values: Any, digits: int) -> Array:
     """Round values to a number of significant digits."""
     array = np.asarray(values, dtype=float)
-    return np.array([float(f"{value:.{digits - 1}e}") for value in array.ravel().tolist()]).reshape(
-        array.shape
-    )
+    rounded = [float(f"{value:.{digits - 1}e}") for value in array.ravel().tolist()]
+    return np.array(rounded).reshape(array.shape)

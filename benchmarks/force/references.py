@@ -196,7 +196,7 @@ def exact(problem: Problem, name: str) -> Certified:
         matrix = m.matrix[:, on]  # A: a copy
         matrix[:, :, 0] /= mu
         costs = numbers(np.zeros((len(on), 3)))
-        costs[:, 0] = m.price(name)[on] / mu
+        costs[:, 0] = m.cost(name)[on] / mu
         x = numbers(start).reshape(-1, 3)[on]
         x[:, 0] *= mu
         x, nu = _optimum(name, matrix, -m.load, costs, x, m.weight)

@@ -16,9 +16,7 @@ problem."""
 
 
 class Parts(NamedTuple):
-    """Parts of a result: force (N k,) and multipliers (6 + L,), if there are any, status, and the
-    message of an error.
-    """
+    """A result: force (N k,) and multipliers (6 + L,) or None, status, message of an error."""
 
     force: Array | None
     multipliers: Array | None
@@ -27,25 +25,23 @@ class Parts(NamedTuple):
 
 
 def parts_of(problem: Problem, answer: Answer | Exception) -> Parts:
-    """Return copies of the parts of a solver's result; errors and results that do not fit the
-    problem are failures.
-    """
+    """Copy a solver's result; errors and results that do not fit the problem are failures."""
     if isinstance(answer, Exception):
         return Parts(None, None, "failed", f"{type(answer).__name__}: {answer}"[:200])
     parts = answer if isinstance(answer, tuple) else (answer,)
     force, multipliers, status = (*parts, None, None, None)[:3]
     size = problem.matrix.shape[1]
-    prices = 6 + len(problem.limit_bound)
+    rows = 6 + len(problem.limit_bound)
     status = "solved" if status is None else status
-    made = _numbers(force, size)
-    proof = _numbers(multipliers, 6, prices)
-    if proof is not None:
-        proof = np.pad(proof, (0, prices - proof.size))
+    force = _numbers(force, size)
+    multipliers = _numbers(multipliers, 6, rows)
+    if multipliers is not None:
+        multipliers = np.pad(multipliers, (0, rows - multipliers.size))
     if not isinstance(status, str) or status not in STATUSES:
-        return Parts(made, proof, "failed", f"no status: {status!r}"[:200])
-    if status == "solved" and made is None:
-        return Parts(None, proof, "failed", f"no force of {size} finite numbers")
-    return Parts(made, proof, status)
+        return Parts(force, multipliers, "failed", f"no status: {status!r}"[:200])
+    if status == "solved" and force is None:
+        return Parts(None, multipliers, "failed", f"no force of {size} finite numbers")
+    return Parts(force, multipliers, status)
 
 
 def score(problem: Problem, objective: str, best: float, answer: Parts) -> dict[str, Any]:
@@ -58,15 +54,13 @@ def score(problem: Problem, objective: str, best: float, answer: Parts) -> dict[
         answer: the parts.
 
     Returns:
-        status; gap, balance, violation, limit_excess where there is a force; solved_coarse and
-        solved; proved: the multipliers
-        prove the optimum to 1e-6, or that there is no force; wrong: the verdict is false.
+        status; gap, balance, violation, limit_excess if there is a force; solved_coarse and solved;
+        proved: the multipliers prove the optimum to 1e-6, or that there is no force; wrong: the
+        verdict is false.
     """
     force, multipliers, status, message = answer
-    row: dict[str, Any] = {
-        "status": status,
-        "wrong": status == ("solved" if best == np.inf else "infeasible"),
-    }
+    wrong = status == ("solved" if best == np.inf else "infeasible")
+    row: dict[str, Any] = {"status": status, "wrong": wrong}
     proved = False
     missed = np.inf
     measure = Measure.of(problem)
@@ -87,15 +81,14 @@ def score(problem: Problem, objective: str, best: float, answer: Parts) -> dict[
             proved = bool(value - measure.lower(objective, multipliers) <= level * value < np.inf)
     if message:
         row["detail"] = message
-    return (
-        row | {"proved": proved} | {name: bool(missed <= level) for name, level in LEVELS.items()}
-    )
+    solved = {name: bool(missed <= level) for name, level in LEVELS.items()}
+    return row | {"proved": proved} | solved
 
 
-def _numbers(given: Any, *sizes: int) -> Array | None:
-    """Return a copy as a flat array; None if its size is another, or a number is not finite."""
+def _numbers(values: Any, *sizes: int) -> Array | None:
+    """Return a flat copy; None if its size is another, or a number is not finite."""
     try:
-        array = np.array(given, dtype=float).reshape(-1)
+        array = np.array(values, dtype=float).reshape(-1)
     except (TypeError, ValueError):
         return None
     return array if array.size in sizes and np.isfinite(array).all() else None

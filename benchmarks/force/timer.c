@@ -9,10 +9,10 @@ static double seconds_now(void) {
   return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
 }
 
-/* A pass over the problems of a session, after one call of the last of them that is not timed: what
-   ran before has left the caches and the branch predictor to others. Fills forces (M, size),
-   multipliers (M, prices), statuses, iterations and seconds (M,). warm: each call but the first
-   gets the last force. setup: null, or called and timed before every solve. */
+/* A pass over the problems of a session, after an untimed call of the last one, which fills the
+   caches and the branch predictor. Fills forces (M, size), multipliers (M, 6 + L), statuses,
+   iterations and seconds (M,). warm: each call but the first gets the last force. setup: null, or
+   called and timed before every solve. */
 void force_times(force_solve* solve, void* context, force_setup* setup, force_close* close,
                  const char* objective, const force_problem* problems, int count, int warm,
                  double* forces, double* multipliers, int* statuses, int* iterations,

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from importlib import import_module
-from typing import Any
 
 import numpy as np
 from scipy import sparse
 
-from benchmarks.force.entrants.forms import Conic, Form, Numbers
+from benchmarks.force.entrants.forms import Conic, Numbers
 from benchmarks.force.problems import Array
 
 
@@ -28,15 +27,15 @@ class Clarabel(Conic):
         settings.presolve_enable = False
         settings.chordal_decomposition_enable = False
         # forces are dual variables in the dual form: it needs more for the same accuracy
-        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = (
-            1e-8 if form.in_cost else 1e-7
-        )
-        self._numbers, nothing = (
-            Numbers(form.rows, form.pattern),
-            sparse.csc_matrix((len(form.c), len(form.c))),
-        )
+        tolerance = 1e-8 if form.in_cost else 1e-7
+        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
+        self._numbers = Numbers(form.rows, form.pattern)
+        linear = ((clarabel.ZeroConeT, form.equations), (clarabel.NonnegativeConeT, form.nonneg))
+        cones = [cone(size) for cone, size in linear if size]
+        cones += [clarabel.SecondOrderConeT(size) for size in form.cones]
+        quadratic = sparse.csc_matrix((len(form.c), len(form.c)))
         self._solver = clarabel.DefaultSolver(
-            nothing, form.c, self._numbers.matrix, form.sides, cones_of(clarabel, form), settings
+            quadratic, form.c, self._numbers.matrix, form.sides, cones, settings
         )
         status = clarabel.SolverStatus
         infeasible = status.DualInfeasible if form.in_cost else status.PrimalInfeasible
@@ -51,13 +50,6 @@ class Clarabel(Conic):
             self._solver.update(q=form.c)
         else:
             self._solver.update(b=form.sides)
-        found = self._solver.solve()
-        self.iterations = found.iterations
-        return np.array(found.x), np.array(found.z), self._statuses.get(found.status, "failed")
-
-
-def cones_of(clarabel: Any, form: Form) -> list[Any]:
-    """The cones of a form, as the package `clarabel` takes them."""
-    linear = ((clarabel.ZeroConeT, form.equations), (clarabel.NonnegativeConeT, form.nonneg))
-    cones = [cone(size) for cone, size in linear if size]
-    return cones + [clarabel.SecondOrderConeT(size) for size in form.cones]
+        result = self._solver.solve()
+        self.iterations = result.iterations
+        return np.array(result.x), np.array(result.z), self._statuses.get(result.status, "failed")

@@ -22,7 +22,8 @@ class CvxpyClarabel:
 
     def setup(self, task: Task) -> None:
         """See `Entrant`."""
-        self._objective, self._moving = task.objective, False
+        self._objective = task.objective
+        self._moving = False
         self._state(task.first)
 
     def solve(self, problem: Problem, start: Array | None = None) -> Answer:
@@ -30,9 +31,7 @@ class CvxpyClarabel:
         if problem.moved and not self._moving:
             self._moving = True
             self._state(problem)
-        for parameter, value in zip(
-            self._parameters, self._data(problem)[: len(self._parameters)], strict=True
-        ):
+        for parameter, value in zip(self._parameters, self._data(problem), strict=False):
             parameter.value = value
         self._problem.solve(solver="CLARABEL")
         if self._force.value is None:
@@ -42,11 +41,8 @@ class CvxpyClarabel:
         if problem.touching is not None:
             force *= np.repeat(problem.touching, problem.width)
         multipliers = [-self._balance.dual_value, *(limit.dual_value for limit in self._limits)]
-        return (
-            force,
-            np.concatenate(multipliers),
-            "solved" if self._problem.status == "optimal" else "failed",
-        )
+        status = "solved" if self._problem.status == "optimal" else "failed"
+        return force, np.concatenate(multipliers), status
 
     def _data(self, problem: Problem) -> tuple[Array, ...]:
         return (
@@ -61,13 +57,9 @@ class CvxpyClarabel:
         with need("cvxpy"):
             cp = import_module("cvxpy")
         data = self._data(problem)
-        self._parameters = [
-            cp.Parameter(each.shape) for each in (data if self._moving else data[:1])
-        ]
-        wrench, matrix, friction, limits, bound = [
-            *self._parameters,
-            *data[len(self._parameters) :],
-        ]
+        count = len(data) if self._moving else 1
+        self._parameters = [cp.Parameter(array.shape) for array in data[:count]]
+        wrench, matrix, friction, limits, bound = [*self._parameters, *data[count:]]
         self._force = force = cp.Variable((problem.n_contacts, problem.width))
         x = cp.vec(force, order="C")
         u = cp.multiply(friction, force[:, 0])
@@ -85,10 +77,8 @@ class CvxpyClarabel:
             product = u
             v = cp.Variable(problem.n_contacts)
             u = cp.Variable(problem.n_contacts)  # with the product itself it is not DPP
-            inside = [
-                cp.quad_over_lin(tangential[i], u[i]) <= u[i] - v[i]
-                for i in range(problem.n_contacts)
-            ]
+            contacts = range(problem.n_contacts)
+            inside = [cp.quad_over_lin(tangential[i], u[i]) <= u[i] - v[i] for i in contacts]
             cones = [u == product, *inside]
             cost = 3 * cp.sum(u) + BARRIER_WEIGHT * cp.sum(cp.inv_pos(u) + 2 * cp.inv_pos(v))
         self._problem = cp.Problem(cp.Minimize(cost), [self._balance, *self._limits, *cones])

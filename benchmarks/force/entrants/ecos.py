@@ -34,11 +34,10 @@ class Ecos(Conic):
             if self._upper:
                 self._upper.refresh(form.rows[:p])
         equations = (self._upper.matrix, form.sides[:p]) if self._upper else ()
-        found = self._solve(
+        result = self._solve(
             form.c, self._lower.matrix, form.sides[p:], self._dims, *equations, **self._options
         )
-        self.iterations = found["info"]["iter"]
-        status = {0: "solved", self._infeasible: "infeasible"}.get(
-            found["info"]["exitFlag"], "failed"
-        )
-        return found["x"], form.joined(found["y"], found["z"]), status
+        info = result["info"]
+        self.iterations = info["iter"]
+        status = {0: "solved", self._infeasible: "infeasible"}.get(info["exitFlag"], "failed")
+        return result["x"], form.joined(result["y"], result["z"]), status

@@ -14,7 +14,7 @@ from benchmarks.force.problems import Array, Problem
 
 
 class Highs:
-    """The dual simplex method on a model that stays while only the wrench changes."""
+    """The dual simplex method on a model that is kept while only the wrench changes."""
 
     name = "highs"
     objectives = ("sum",)
@@ -51,23 +51,20 @@ class Highs:
         self.iterations = solver.getInfo().simplex_iteration_count
         # without a force in the pyramids, there may be one in the cones
         solved = solver.getModelStatus() == self._highspy.HighsModelStatus.kOptimal
-        return (
-            self._pyramids.force(np.array(solver.getSolution().col_value)),
-            None,
-            "solved" if solved else "failed",
-        )
+        force = self._pyramids.force(np.array(solver.getSolution().col_value))
+        return force, None, "solved" if solved else "failed"
 
     def _model(self, problem: Problem) -> None:
         self._pyramids = Pyramids(problem)
         stored = sparse.csc_matrix(self._pyramids.columns)
         infinity = self._highspy.kHighsInf
-        (rows, columns), lp = self._pyramids.columns.shape, self._highspy.HighsLp()
-        lp.num_row_, lp.num_col_ = rows, columns
-        lp.col_cost_, lp.col_lower_, lp.col_upper_ = (
-            np.ones(columns),
-            np.zeros(columns),
-            np.full(columns, infinity),
-        )
+        rows, columns = self._pyramids.columns.shape
+        lp = self._highspy.HighsLp()
+        lp.num_row_ = rows
+        lp.num_col_ = columns
+        lp.col_cost_ = np.ones(columns)
+        lp.col_lower_ = np.zeros(columns)
+        lp.col_upper_ = np.full(columns, infinity)
         lp.row_lower_ = np.concatenate([-problem.wrench, np.full(rows - 6, -infinity)])
         lp.row_upper_ = np.concatenate([-problem.wrench, problem.limit_bound])
         lp.a_matrix_.format_ = self._highspy.MatrixFormat.kColwise

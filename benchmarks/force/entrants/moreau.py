@@ -12,8 +12,7 @@ from benchmarks.force.problems import Array, Problem
 
 
 class Moreau(Conic):
-    """Moreau's interior-point method on one thread of the CPU, its structure and values set up
-    once.
+    """Moreau's interior-point method on one thread of the CPU, set up once.
 
     The dual form takes 0.85 of the time of the primal with `DirectConeSpec`, and every
     `direct_solve_method` the same.
@@ -40,11 +39,11 @@ class Moreau(Conic):
             num_zero_cones=form.equations, num_nonneg_cones=form.nonneg, so_cone_dims=form.cones
         )
         tolerance = 1e-8 if form.in_cost else 1e-7
-        limits = moreau.IPMSettings(
-            tol_gap_abs=tolerance, tol_gap_rel=tolerance, tol_feas=tolerance
-        )
-        settings = moreau.Settings(device="cpu", solver="ipm", batch_size=1, ipm_settings=limits)
-        stored, (m, n) = self._numbers.matrix, form.rows.shape
+        limits = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), tolerance)
+        ipm = moreau.IPMSettings(**limits)
+        settings = moreau.Settings(device="cpu", solver="ipm", batch_size=1, ipm_settings=ipm)
+        stored = self._numbers.matrix
+        m, n = form.rows.shape
         begins = np.zeros(n + 1, dtype=np.int64)
         self._solver = moreau.CompiledSolver(
             n, m, begins, [], stored.indptr, stored.indices, cones, settings
@@ -52,15 +51,11 @@ class Moreau(Conic):
         self._solver.setup(np.zeros(0), stored.data)
         self._last = None
         status = moreau.SolverStatus
-        self._statuses = {
-            status.Solved: "solved",
-            status.DualInfeasible if form.in_cost else status.PrimalInfeasible: "infeasible",
-        }
+        infeasible = status.DualInfeasible if form.in_cost else status.PrimalInfeasible
+        self._statuses = {status.Solved: "solved", infeasible: "infeasible"}
 
     def solve(self, problem: Problem, start: Array | None = None) -> Answer:
-        """See `Entrant`; only whether there is a `start` counts, as a warm start has all variables
-        and multipliers of the last call.
-        """
+        """See `Entrant`; any `start` stands for all variables and multipliers of the last call."""
         self._started = start is not None
         return super().solve(problem)
 
@@ -69,11 +64,10 @@ class Moreau(Conic):
         form = self.form
         if moved:
             self._solver.setup(np.zeros(0), self._numbers.refresh(form.rows.T))
-        found = self._solver.solve(
-            form.c[None], form.sides[None], self._last if self._started else None
-        )
+        last = self._last if self._started else None
+        result = self._solver.solve(form.c[None], form.sides[None], last)
         info = self._solver.info
         if self._warm:
-            self._last = found.to_warm_start()
+            self._last = result.to_warm_start()
         self.iterations = int(info.iterations[0])
-        return found.x[0], found.z[0], self._statuses.get(info.status[0], "failed")
+        return result.x[0], result.z[0], self._statuses.get(info.status[0], "failed")

@@ -40,9 +40,9 @@ int solve(void* context, const force_problem* p, const double* start, double* fo
           double* multipliers, int* iterations) {
   auto& [optimizer, remembers] = *static_cast<Session*>(context);
   const int n = p->contacts;
-  grasp::Request ask{.wrench = p->wrench};
+  grasp::Request request{.wrench = p->wrench};
   if (p->moved)
-    ask.now = {.positions = numbers(p->positions, 3 * n),
+    request.now = {.positions = numbers(p->positions, 3 * n),
                .normals = numbers(p->normals, 3 * n),
                .friction = numbers(p->friction, n),
                .jacobian = numbers(p->jacobian, 6 * n * p->joints),
@@ -51,8 +51,8 @@ int solve(void* context, const force_problem* p, const double* start, double* fo
   if (!start)
     optimizer.forget();
   else if (remembers)
-    ask.start = grasp::Start::previous;
-  const grasp::Record& solution = optimizer.solve(ask);
+    request.start = grasp::Start::previous;
+  const grasp::Record& solution = optimizer.solve(request);
   if (iterations) *iterations = int(solution.summary().iterations);
   for (int r = 0; r < 6; ++r) multipliers[r] = solution.summary().multipliers[r];
   if (solution.code() == grasp::INFEASIBLE || solution.has_force())

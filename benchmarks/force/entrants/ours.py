@@ -41,20 +41,18 @@ class _FromPython:
         self._loses = first.touching is not None
 
     def _make(self, grasp: Grasp, initial: Any) -> ForceOptimizer:
-        return ForceOptimizer(
-            grasp, limits=self._limits, initial=initial, tolerance=TOLERANCE, **self.options
-        )
+        options = {"limits": self._limits, "tolerance": TOLERANCE, **self.options}
+        return ForceOptimizer(grasp, initial=initial, **options)
 
     def solve(self, problem: Problem, start: Array | None = None) -> Answer:
-        now: dict[str, Any] = (
-            {name: getattr(problem, name) for name in self._moves} if problem.moved else {}
-        )
+        names = self._moves if problem.moved else ()
+        changes: dict[str, Any] = {name: getattr(problem, name) for name in names}
         if self._loses:
-            now["contacts"] = problem.touching
+            changes["contacts"] = problem.touching
         if self._warm and start is None:
             self._optimizer.forget()
         try:
-            solution = self._solve(problem.wrench, **now)
+            solution = self._solve(problem.wrench, **changes)
             self.iterations = solution.iterations
         except InfeasibleWrenchError as error:
             solution = error.solution
@@ -65,12 +63,12 @@ class _FromPython:
         if self._loses or any(problem.moved for problem in problems):
             raise NotImplementedError
         wrenches = np.array([problem.wrench for problem in problems])
-        return [self._answer(each) for each in self._optimizer.solve_many(wrenches, workers=1)]
+        return [self._answer(s) for s in self._optimizer.solve_many(wrenches, workers=1)]
 
     def _answer(self, solution: ForceSolution) -> Answer:
-        force = (
-            np.column_stack([solution.force, solution.torsion]) if self._soft else solution.force
-        )
+        force = solution.force
+        if self._soft:
+            force = np.column_stack([force, solution.torsion])
         multipliers = solution.multipliers
         if self._limits is not None:
             multipliers = np.concatenate([multipliers, solution.limit_multipliers])
@@ -104,11 +102,10 @@ class FlowPython(_FromPython):
 
 
 class LearnedPython(_FromPython):
-    """Newton from the shipped network for four contacts near the paper's cuboid; other problems
-    have the default start.
-    """
+    """Newton from the shipped network; problems unlike its training have the default start."""
 
-    name, division = "learned_python", "learned"
+    name = "learned_python"
+    division = "learned"
 
     def _make(self, grasp: Grasp, initial: Any) -> ForceOptimizer:
         from policies import LearnedInitialForce
@@ -126,18 +123,11 @@ class _Compiled(Library):
     def __init__(self) -> None:
         include = CORE / "include"
         flags = [
-            "-std=c++20",
-            "-O3",
-            "-march=native",
-            "-ffp-contract=fast",
-            "-fno-math-errno",
-            "-fno-trapping-math",
-            "-Wno-psabi",
+            *("-std=c++20", "-O3", "-march=native", "-ffp-contract=fast"),
+            *("-fno-math-errno", "-fno-trapping-math", "-Wno-psabi", f"-I{include}"),
         ]
-        sources = [HERE.parents[1] / "force.h", *sorted(include.rglob("*.hpp"))]
-        super().__init__(
-            str(library("ours", [HERE], [*flags, f"-I{include}"], sources, cpp=True)), self.name
-        )
+        headers = [HERE.parents[1] / "force.h", *sorted(include.rglob("*.hpp"))]
+        super().__init__(str(library("ours", [HERE], flags, headers, cpp=True)), self.name)
 
 
 class Conic(_Compiled):
@@ -155,9 +145,7 @@ class Newton(_Compiled):
 
 
 class Flow(_Compiled):
-    """Least Phi by the paper's reduced flow from its 12-basis, with the short Barzilai-Borwein
-    step.
-    """
+    """Least Phi by the paper's reduced flow from its 12-basis, with the short Barzilai-Borwein step."""
 
     name = "flow"
     objectives = ("phi",)

@@ -12,9 +12,7 @@ from benchmarks.force.problems import Array, Problem
 
 
 class Piqp:
-    """PIQP's proximal interior-point method on the dual: 6 + L variables, the multipliers of the
-    edges are their weights.
-    """
+    """PIQP's proximal interior-point method on the dual, with 6 + L variables."""
 
     name = "piqp"
     objectives = ("sum",)
@@ -34,8 +32,8 @@ class Piqp:
         rows = self._rows()
         least = np.concatenate([np.full(6, -np.inf), np.zeros(len(first.limit_bound))])
         self._cost = np.concatenate([first.wrench, first.limit_bound])
-        nothing = np.zeros((len(least), len(least)), order="F")
-        self._solver.setup(nothing, self._cost, G=rows, h_u=np.ones(len(rows)), x_l=least)
+        quadratic = np.zeros((len(least), len(least)), order="F")
+        self._solver.setup(quadratic, self._cost, G=rows, h_u=np.ones(len(rows)), x_l=least)
 
     def solve(self, problem: Problem, start: Array | None = None) -> Answer:
         """See `Entrant`; `start` is not used."""

@@ -14,8 +14,8 @@ class Qoco(Conic):
     """QOCO's interior-point method.
 
     At 1e-8 it stalls on a few wrenches in a thousand, and a stall raises the regularisation of
-    every later solve of the same object: hundreds fail. 1e-7 solves them all; the default is put
-    back after a failure all the same.
+    every later solve of the object, so hundreds fail. 1e-7 solves them all. After a failure the
+    default is restored nevertheless.
     """
 
     name = "qoco"
@@ -50,7 +50,7 @@ class Qoco(Conic):
     def run(self, moved: bool) -> tuple[Array, Array, str]:
         """See `Conic`."""
         form = self.form
-        p = self.form.equations
+        p = form.equations
         solver = self._solver
         if moved:
             solver.update_vector_data(c=form.c, b=form.sides[:p] if p else None, h=form.sides[p:])
@@ -60,9 +60,9 @@ class Qoco(Conic):
             solver.update_vector_data(c=form.c)
         else:
             solver.update_vector_data(b=form.sides[:p], h=form.sides[p:])
-        found = solver.solve()
-        self.iterations = found.iters
-        solved = found.status == "QOCO_SOLVED"
+        result = solver.solve()
+        self.iterations = result.iters
+        solved = result.status == "QOCO_SOLVED"
         if not solved:
             solver.update_settings(kkt_dynamic_reg=self._regularisation)
-        return found.x, form.joined(found.y, found.z), "solved" if solved else "failed"
+        return result.x, form.joined(result.y, result.z), "solved" if solved else "failed"

@@ -7,8 +7,7 @@
 
 enum { DUAL, PRIMAL, BARRIER };
 
-/* What Python knows of the generated code: rows and columns of the numbers of A and G in their
- * order, and the settings. */
+/* The generated code: rows and columns of the numbers of A and G in their order, and settings. */
 typedef struct {
   int form, refinements, count_a, count_g;
   const int *columns_a, *rows_a, *columns_g, *rows_g;
@@ -17,13 +16,13 @@ typedef struct {
 
 typedef struct {
   Workspace work;
-  Description given;
+  Description generated;
   int moved;
 } Context;
 
 static Description described;
 
-void qocogen_describe(const Description* given) { described = *given; }
+void qocogen_describe(const Description* generated) { described = *generated; }
 
 static int touches(const force_problem* p, int i) {
   return p->contacts > 64 || p->touching >> i & 1;
@@ -61,16 +60,16 @@ static double primal_number(const force_problem* p, int row, int column) {
 
 static void refresh(Context* at, const force_problem* p) {
   Workspace* work = &at->work;
-  const Description* given = &at->given;
-  int n = p->contacts, form = given->form;
-  for (int j = 0; j < given->count_a; ++j) {
-    int row = given->rows_a[j], column = given->columns_a[j];
+  const Description* generated = &at->generated;
+  int n = p->contacts, form = generated->form;
+  for (int j = 0; j < generated->count_a; ++j) {
+    int row = generated->rows_a[j], column = generated->columns_a[j];
     work->A[j] = balance(p, row, column) /
                  (form == BARRIER && column % 3 == 0 ? p->friction[column / 3] : 1.0);
   }
-  for (int j = 0; form != BARRIER && j < given->count_g; ++j) /* the barrier's are constants */
+  for (int j = 0; form != BARRIER && j < generated->count_g; ++j) /* the barrier's are constants */
     work->G[j] =
-        (form == DUAL ? dual_number : primal_number)(p, given->rows_g[j], given->columns_g[j]);
+        (form == DUAL ? dual_number : primal_number)(p, generated->rows_g[j], generated->columns_g[j]);
   for (int i = 0; form == DUAL && i < n; ++i) work->h[work->l + 3 * i] = 1.0 / p->friction[i];
   at->moved = p->moved;
 }
@@ -79,7 +78,7 @@ void* qocogen_setup(const force_problem* first, const char* objective) {
   Context* at = calloc(1, sizeof(Context));
   (void)objective;
   if (at) {
-    at->given = described;
+    at->generated = described;
     set_default_settings(&at->work);
     load_data(&at->work);
     at->work.settings.iter_ref_iters = described.refinements;
@@ -94,12 +93,12 @@ int qocogen(void* context, const force_problem* p, const double* start, double* 
             double* multipliers, int* iterations) {
   Context* at = context;
   Workspace* work = &at->work;
-  int n = p->contacts, k = p->width, form = at->given.form, limits = p->limits;
+  int n = p->contacts, k = p->width, form = at->generated.form, limits = p->limits;
   double square = 0.0, unit = 1.0;
   (void)start;
   if (p->moved || at->moved) refresh(at, p);
   for (int j = 0; j < 6; ++j) square += p->wrench[j] * p->wrench[j];
-  if (form != BARRIER && square > 0.0) unit = sqrt(square) / at->given.size;
+  if (form != BARRIER && square > 0.0) unit = sqrt(square) / at->generated.size;
   for (int j = 0; j < 6; ++j)
     if (form == DUAL)
       work->c[j] = p->wrench[j] / unit;

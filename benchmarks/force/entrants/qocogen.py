@@ -21,8 +21,8 @@ from benchmarks.force.entrants import forms
 OURS = Path(__file__).with_name("qocogen.c")
 HEADERS = Path(__file__).parents[1]
 SIZE = 10.0
-"""Length of the wrench that the solver is given, as `forms.SIZE`: 30 takes 0.6 iterations more, 3
-gives less accurate forces."""
+"""Length to which the wrench is scaled, as `forms.SIZE`: 30 takes 0.6 iterations more, 3 gives less
+accurate forces."""
 
 
 class Description(ctypes.Structure):
@@ -36,9 +36,7 @@ class Description(ctypes.Structure):
 
 
 class Qocogen(Library):
-    """A generated solver; its code depends on the pattern of the form alone, its numbers come with
-    the problems.
-    """
+    """A generated solver, whose code depends on the form's pattern alone."""
 
     name = "qocogen"
     note = (
@@ -80,15 +78,11 @@ class QocogenFast(Qocogen):
 
 
 def library(form: forms.Form, flags: tuple[str, ...]) -> Path:
-    """The shared library for a form's pattern, generated and compiled if it is not there, or a
-    `RuntimeError`.
-    """
+    """Return the library for a form's pattern, generated and compiled if it does not exist."""
     command = compiler("CC", "gcc", "clang", "cc")
     sizes = f"{form.pattern.shape} {form.equations} {form.nonneg} {form.cones}"
-    key = (
-        "\0".join([*_versions(), command, *flags, sizes]).encode()
-        + np.packbits(form.pattern.astype(bool)).tobytes()
-    )
+    key = "\0".join([*_versions(), command, *flags, sizes]).encode()
+    key += np.packbits(form.pattern.astype(bool)).tobytes()
 
     def make(built: Path) -> None:
         with tempfile.TemporaryDirectory() as scratch:
@@ -98,20 +92,9 @@ def library(form: forms.Form, flags: tuple[str, ...]) -> Path:
             # GCC links -Ofast with code that makes the whole process flush small numbers to zero:
             # compiled with it, linked without
             objects = [str(Path(scratch, f"{source.stem}.o")) for source in sources]
+            compiled = [command, *flags, f"-I{scratch}/code", f"-I{HEADERS}", "-fPIC", "-c"]
             for source, target in zip(sources, objects, strict=True):
-                execute(
-                    [
-                        command,
-                        *flags,
-                        f"-I{scratch}/code",
-                        f"-I{HEADERS}",
-                        "-fPIC",
-                        "-c",
-                        str(source),
-                        "-o",
-                        target,
-                    ]
-                )
+                execute([*compiled, str(source), "-o", target])
             links = [flag for flag in flags if flag != "-Ofast"]
             execute([command, *links, "-shared", "-o", str(built), *objects, "-lm"])
 
@@ -124,8 +107,9 @@ def _versions() -> tuple[str, ...]:
 
 
 def _generate(form: forms.Form, folder: str) -> None:
-    """Write the code into folder/code: the barrier's constants, else random numbers on the pattern,
-    lest a cancellation look like a zero.
+    """Write the code into folder/code.
+
+    Numbers that change are random, so that no cancellation looks like a zero.
     """
     rows = form.rows if isinstance(form, forms.Barrier) else np.zeros(form.pattern.shape)
     random = np.random.default_rng(0).uniform(0.5, 1.5, form.pattern.shape)

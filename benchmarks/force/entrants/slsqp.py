@@ -9,7 +9,7 @@ from benchmarks.force.entrant import Answer, Task
 from benchmarks.force.problems import BARRIER_WEIGHT, Array, Problem
 
 ROUND = 1e-16
-"""[N^2] under the root: a gradient at the apex of a cone."""
+"""Added under the root [N^2], so that the apex of a cone has a gradient."""
 
 
 class Slsqp:
@@ -43,44 +43,41 @@ class Slsqp:
             {"type": "ineq", "fun": _room, "jac": _room_jacobian, "args": (mu, k)},
             {"type": "ineq", "fun": lambda x: bound - limits @ x, "jac": lambda x: -limits},
         ]
-        options = {"ftol": 1e-8, "maxiter": 300}
-        found = minimize(
+        result = minimize(
             self._objective,
             begin,
             (mu, k),
             "SLSQP",
             jac=True,
             constraints=constraints,
-            options=options,
+            options={"ftol": 1e-8, "maxiter": 300},
         )
-        self.iterations = found.nit
+        self.iterations = result.nit
         force = np.zeros(problem.matrix.shape[1])
-        force[columns] = found.x
-        return force, None, "solved" if found.success else "failed"
+        force[columns] = result.x
+        return force, None, "solved" if result.success else "failed"
 
 
 def _room(x: Array, mu: Array, k: int) -> Array:
-    # from the same start, mu^2 n^2 - o^2 - t^2 >= 0 ends as a success far from the optimum on some
-    # wrenches
+    # with mu^2 n^2 - o^2 - t^2 >= 0 it reports success far from the optimum on some wrenches
     return mu * x[::k] - np.sqrt(x[1::k] ** 2 + x[2::k] ** 2 + ROUND)
 
 
 def _room_jacobian(x: Array, mu: Array, k: int) -> Array:
     o = x[1::k]
     t = x[2::k]
-    each = np.arange(len(mu))
-    made = np.zeros((len(mu), len(mu), k))
+    i = np.arange(len(mu))
+    jacobian = np.zeros((len(mu), len(mu), k))
     size = np.sqrt(o**2 + t**2 + ROUND)
-    made[each, each, :3] = np.column_stack([mu, -o / size, -t / size])
-    return made.reshape(len(mu), -1)
+    jacobian[i, i, :3] = np.column_stack([mu, -o / size, -t / size])
+    return jacobian.reshape(len(mu), -1)
 
 
 def _torsion(gamma: Array) -> Array:
-    """Rows for abs(torsion) - gamma n <= 0."""
+    """Return the rows of abs(torsion) - gamma n <= 0."""
     levers = np.kron(np.diag(gamma), [[1.0, 0, 0, 0]])
-    return np.concatenate(
-        [np.kron(np.eye(len(gamma)), [[0.0, 0, 0, sign]]) - levers for sign in (1, -1)]
-    )
+    torsions = np.kron(np.eye(len(gamma)), [[0.0, 0, 0, 1]])
+    return np.concatenate([torsions - levers, -torsions - levers])
 
 
 def _sum(x: Array, mu: Array, k: int) -> tuple[float, Array]:
