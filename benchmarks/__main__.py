@@ -1,6 +1,4 @@
-"""`python -m benchmarks NAME`, or `make bench ARGS="NAME"`: runs a benchmark, saves its rows and
-prints their summary.
-"""
+"""`python -m benchmarks NAME`, or `make bench ARGS="NAME"`: run a benchmark and save its rows."""
 
 from __future__ import annotations
 
@@ -23,7 +21,7 @@ BENCHMARKS = {
     "layer": "the force layer beside cvxpylayers, Moreau's and ProxSuite's: forward and backward, how far answers differ",
     "core": "this checkout beside an earlier one, taking turns on one core: solves, moving contacts, grasps",
 }
-"""Benchmarks by name; each is the `BENCHMARK` of the module of that name."""
+"""Benchmarks by name, which is that of the module."""
 USAGE = f"""usage: python -m benchmarks NAME [OPTIONS]
 
 {"".join(f"  {name:9} {text}{os.linesep}" for name, text in BENCHMARKS.items())}
@@ -39,8 +37,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: words of the command line; None: those of this process.
 
     Returns:
-        0; 130 if it was interrupted; 2 after wrong input, with one line on stderr, and with --json
-        as JSON on stdout.
+        0; 130 if it was interrupted; 2 after wrong input, with one line on stderr, and JSON on
+        stdout with --json.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     if not words or words[0] in ("-h", "--help"):
@@ -51,8 +49,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except GraspError as error:
         sys.stderr.write(f"benchmarks: {error}\n")
         if "--json" in words:
-            described = {"kind": type(error).__name__, "message": str(error), "exit_code": 2}
-            sys.stdout.write(json.dumps({"error": described}) + "\n")
+            fields = {"kind": type(error).__name__, "message": str(error), "exit_code": 2}
+            sys.stdout.write(json.dumps({"error": fields}) + "\n")
         return 2
     except KeyboardInterrupt:
         sys.stderr.write("benchmarks: interrupted\n")
@@ -61,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def execute(name: str, *words: str) -> None:
-    """Run the benchmark of that name, with options; wrong ones are a `GraspError`."""
+    """Run the benchmark of that name with options, or raise a `GraspError`."""
     if name not in BENCHMARKS:
         raise UnknownNameError("benchmark", name, BENCHMARKS)
     need("report")
@@ -73,36 +71,34 @@ def execute(name: str, *words: str) -> None:
     from training.evaluation.results import Run, default_name
 
     benchmark = import_module(f"benchmarks.{name}").BENCHMARK
-    usual = (
-        replace(benchmark.settings, **benchmark.quick) if "--quick" in words else benchmark.settings
-    )
-    options = RunOptions[type(usual)]
-    given = tyro.cli(
-        options, prog=f"python -m benchmarks {name}", default=RunOptions(usual), args=words
-    )
-    checked(given.settings)
+    settings = benchmark.settings
+    if "--quick" in words:
+        settings = replace(settings, **benchmark.quick)
+    program = f"python -m benchmarks {name}"
+    kind_of_options = RunOptions[type(settings)]
+    options = tyro.cli(kind_of_options, prog=program, default=RunOptions(settings), args=words)
+    checked(options.settings)
     kind = "env_speed" if name == "env" else name  # the kind "env" are hold rates
-    before = None if given.compare is None else show.earlier(given.compare, kind)
-    run = Run.create(given.out, given.name or default_name(kind))
-    rows = benchmark.run(given.settings)
+    before = None if options.compare is None else show.earlier(options.compare, kind)
+    run = Run.create(options.out, options.name or default_name(kind))
+    rows = benchmark.run(options.settings)
     tick("")
     about = {
         "kind": kind,
-        "quick": given.quick,
-        "settings": asdict(given.settings),
+        "quick": options.quick,
+        "settings": asdict(options.settings),
         "load": os.getloadavg(),
+        "missing": show.lacking(rows),
+        "claims": [asdict(claim) for claim in benchmark.claims],
     }
     if benchmark.draw is not None:
         run.write_text("picture.svg", svg(benchmark.draw(rows, benchmark.words)))
-    run.save(
-        rows,
-        about
-        | {"missing": show.lacking(rows), "claims": [asdict(claim) for claim in benchmark.claims]},
-    )
-    written = (show.as_json if given.json else show.as_text)(
-        benchmark, rows, run.read_json("run.json"), before
-    )
-    sys.stdout.write(written if given.json else f"{written}{run.folder}\n")
+    run.save(rows, about)
+    about = run.read_json("run.json")
+    if options.json:
+        sys.stdout.write(show.as_json(benchmark, rows, about, before))
+    else:
+        sys.stdout.write(f"{show.as_text(benchmark, rows, about, before)}{run.folder}\n")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,4 @@
-"""Time of each algorithm of the core on the problems that it exists for, and of the algorithm that
-could replace it on the same problems.
-"""
+"""Time of each algorithm of the core on its problems, and of the one that could replace it there."""
 
 from __future__ import annotations
 
@@ -59,7 +57,7 @@ class AlgorithmSettings:
 
 
 def run(settings: AlgorithmSettings) -> pd.DataFrame:
-    """Microseconds of a call, a row for each problem; of a batch, for each of its problems."""
+    """Return a row with the microseconds of each problem."""
     rows: list[dict[str, Any]] = []
     for method, problem, times in measured(settings):
         tick(f"{method}, {problem}")
@@ -68,17 +66,12 @@ def run(settings: AlgorithmSettings) -> pd.DataFrame:
 
 
 def measured(settings: AlgorithmSettings) -> Iterator[tuple[str, str, Array]]:
-    """Yield the folder of an algorithm, its problem, and seconds."""
+    """Yield the folder of an algorithm, a label of the problems, and seconds."""
     rng = np.random.default_rng(settings.seed)
     loads = sample_ball(rng, settings.wrenches)
     hard = presets.paper_cuboid()
-    soft = Grasp.from_contacts(
-        hard.positions,
-        hard.normals,
-        hard.friction,
-        contact_model="soft",
-        torsional_friction=TORSIONAL_FRICTION,
-    )
+    torsion: dict[str, Any] = {"contact_model": "soft", "torsional_friction": TORSIONAL_FRICTION}
+    soft = Grasp.from_contacts(hard.positions, hard.normals, hard.friction, **torsion)
     bounds = ForceLimits(max_normal=20.0)
     tight = ForceLimits(max_normal=1.0)
     heavy = 10.0 * loads / np.linalg.norm(loads, axis=1, keepdims=True)
@@ -120,11 +113,10 @@ def measured(settings: AlgorithmSettings) -> Iterator[tuple[str, str, Array]]:
     yield "newton/limited", "limits that no force meets, proof", proof
 
     grasps = [BENCH.closed(rng, 4) for _ in loads]
-    many = repeated(settings, lambda: optimize_forces(hard, loads, workers=1, tolerance=TOLERANCE))
+    options: dict[str, Any] = {"workers": 1, "tolerance": TOLERANCE}
+    many = repeated(settings, lambda: optimize_forces(hard, loads, **options))
     yield "many/problems", "one grasp, many wrenches", many
-    many = repeated(
-        settings, lambda: optimize_forces(grasps, loads, workers=1, tolerance=TOLERANCE)
-    )
+    many = repeated(settings, lambda: optimize_forces(grasps, loads, **options))
     yield "many/grasps", "many grasps, a wrench each", many
     yield "layer/smooth", "batch, forward", layer(settings, hard, loads, None)
     yield "layer/smooth", "batch, forward and backward", layer(settings, hard, loads, None, True)
@@ -162,22 +154,15 @@ def layer(
     from policies.layer import grasp_force
 
     torch.set_num_threads(1)
-    positions = torch.from_numpy(np.array(grasp.positions))
-    normals = torch.from_numpy(np.array(grasp.normals))
-    friction = torch.from_numpy(np.array(grasp.friction))
+    fields = (grasp.positions, grasp.normals, grasp.friction)
+    positions, normals, friction = (torch.from_numpy(np.array(field)) for field in fields)
     wrenches = torch.from_numpy(loads).requires_grad_(backward)
-    infeasible = "mask" if max_normal is None else "elastic"
+    options: dict[str, Any] = {"max_normal": max_normal, "tolerance": TOLERANCE}
+    if max_normal is not None:
+        options["infeasible"] = "elastic"
 
     def call() -> None:
-        forces = grasp_force(
-            positions,
-            normals,
-            friction,
-            wrenches,
-            max_normal=max_normal,
-            infeasible=infeasible,
-            tolerance=TOLERANCE,
-        )
+        forces = grasp_force(positions, normals, friction, wrenches, **options)
         if backward:
             forces.force.sum().backward()
 

@@ -43,10 +43,10 @@ class BatchSettings:
 
 
 def run(settings: BatchSettings) -> pd.DataFrame:
-    """Solves per second of `optimize_forces`, a row for each round; `ratio` is the time of all
-    cores over that of one.
+    """Return solves per second of `optimize_forces`, a row for each round.
 
-    The last row is the peak memory of the whole process, wrenches and one result included.
+    `ratio` is the time of all cores over that of one. The last row is the peak memory of the
+    process, wrenches and one result included.
     """
     grasp = presets.paper_cuboid()
     loads = sample_ball(np.random.default_rng(settings.seed), settings.wrenches)

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 WARM_UP = 20
-"""Call before the clock starts, for every row."""
+"""Number of untimed calls of every row."""
 Case = dict[str, Any]
 """A grasp with wrenches (n, 6), and a smooth path: points (n, N, 3), Jacobians (n, N, 3, J) etc."""
 Answers = tuple[Any, list[float]]

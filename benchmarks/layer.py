@@ -1,7 +1,6 @@
-"""Comparison of the force layer with other differentiable layers, forward and backward on one core:
-microseconds per problem, and errors.
+"""Comparison of the force layer with other differentiable layers, forward and backward on one core.
 
-Every problem has its own contacts, friction and wrench. Our layer takes them and returns gradients
+Every problem has other contacts, friction and wrench. Our layer takes them and returns gradients
 with respect to all of them. The times of other layers (`layer_peers.py`) start at the matrices that
 they need.
 """
@@ -36,10 +35,7 @@ JOINTS = 3
 LEVER = 0.05
 """Scale of a finger's Jacobian [m/rad]."""
 ROOM = (0.8, 1.6)
-"""Range of a torque limit over the largest torque of the optimum without limits.
-
-Below 1, for a quarter of the problems, it binds.
-"""
+"""Range of a torque limit over the largest torque without limits; below 1, for a quarter, it binds."""
 PATCH = (0.002, 0.01)
 """Range of torsional friction [m]."""
 BALANCED = 1e-3
@@ -56,10 +52,9 @@ ANSWERS = "hard, answers"
 
 
 def draw(seed: int, count: int) -> tuple[list[Grasp], Tensors]:
-    """Random grasps with force closure, and `count` problems: all inputs of all `CASES`, wrenches
-    in the standard ball.
+    """Draw grasps with force closure, and problems with all inputs of all `CASES`.
 
-    A finger's joints move its own contact only. Limits are drawn around the largest torque of the
+    A finger's joints move only its own contact. Limits are drawn around the largest torque of the
     optimum without limits, and raised until a force within them exists.
     """
     rng = np.random.default_rng([seed, CONTACTS])
@@ -67,22 +62,20 @@ def draw(seed: int, count: int) -> tuple[list[Grasp], Tensors]:
     wrenches = sample_ball(rng, count)
     joints = np.zeros((count, CONTACTS, 3, CONTACTS * JOINTS))
     for finger in range(CONTACTS):
-        turned = np.linalg.qr(rng.standard_normal((count, 3, 3)))[0]
-        joints[:, finger, :, finger * JOINTS : (finger + 1) * JOINTS] = LEVER * turned
+        rotations = np.linalg.qr(rng.standard_normal((count, 3, 3)))[0]
+        joints[:, finger, :, finger * JOINTS : (finger + 1) * JOINTS] = LEVER * rotations
     forces = optimize_forces(grasps, wrenches, method="newton", workers=1)
     limits = rng.uniform(*ROOM, count)
     for k, grasp in enumerate(grasps):
         limits[k] *= np.abs(np.einsum("nij,ni->j", joints[k], forces[k].object_force)).max()
+        options: dict[str, Any] = {"method": "newton", "workers": 1}
         while True:
-            within = ForceLimits(
-                jacobian=joints[k], torque_limit=np.full(joints.shape[3], limits[k])
-            )
-            if optimize_forces(
-                grasp, wrenches[k][None], method="newton", limits=within, workers=1
-            ).optimal[0]:
+            torque_limit = np.full(joints.shape[3], limits[k])
+            options["limits"] = ForceLimits(jacobian=joints[k], torque_limit=torque_limit)
+            if optimize_forces(grasp, wrenches[k][None], **options).optimal[0]:
                 break
             limits[k] *= 1.1
-    made = {
+    inputs = {
         "positions": [grasp.positions for grasp in grasps],
         "normals": [grasp.normals for grasp in grasps],
         "friction": [grasp.friction for grasp in grasps],
@@ -91,16 +84,15 @@ def draw(seed: int, count: int) -> tuple[list[Grasp], Tensors]:
         "torque_limit": np.repeat(limits[:, None], CONTACTS * JOINTS, axis=1),
         "torsional_friction": rng.uniform(*PATCH, (count, CONTACTS)),
     }
-    return grasps, {
-        name: torch.from_numpy(np.array(values, dtype=float)) for name, values in made.items()
-    }
+    arrays = {name: np.array(values, dtype=float) for name, values in inputs.items()}
+    return grasps, {name: torch.from_numpy(array) for name, array in arrays.items()}
 
 
 def ours(batch: int) -> Call:
-    """The layer with its defaults."""
+    """Return the layer with its defaults."""
     from policies import grasp_force
 
-    return lambda **given: grasp_force(**given).force
+    return lambda **inputs: grasp_force(**inputs).force
 
 
 FORWARD, LAYER = "layer_forward", "layer"
@@ -147,14 +139,12 @@ def one_thread() -> Iterator[None]:
 
 
 def run(settings: LayerSettings) -> pd.DataFrame:
-    """Time all layers in rounds, one after the other, and checks the answers for as many problems
-    as the largest batch has.
+    """Time all layers in rounds, and check the answers to a batch of the largest size.
 
     Returns:
         A row for each case, batch, layer, round and call: `ratio` is its time over that of ours in
-        the same round. A row for each layer and
-        problem, with the differences from ours where it minimizes Phi, and from the least sum of
-        normal forces where it is Moreau's.
+        the same round. A row for each layer and problem with the excess over the least sum of
+        normal forces, and, where the layer minimises Phi, with the differences from ours.
     """
     most = max(settings.batches)
     tick(f"drawing {most} problems")
@@ -165,16 +155,12 @@ def run(settings: LayerSettings) -> pd.DataFrame:
         for batch in settings.batches:
             for case, names in CASES.items():
                 built = _built(CONTESTANTS if case == "hard" else OURS, batch, missing)
-                rows += timed(
-                    settings, case, batch, built, {name: problems[name] for name in names}
-                )
-        parts = list(
-            compared(
-                grasps, {name: problems[name] for name in BASE}, _built(CONTESTANTS, most, missing)
-            )
-        )
+                data = {name: problems[name] for name in names}
+                rows += timed(settings, case, batch, built, data)
+        data = {name: problems[name] for name in BASE}
+        checks = list(compared(grasps, data, _built(CONTESTANTS, most, missing)))
     rows += [{"method": name, "reason": reason} for name, reason in missing.items()]
-    return join([pd.DataFrame(rows), *parts])
+    return join([pd.DataFrame(rows), *checks])
 
 
 def _built(
@@ -194,126 +180,125 @@ def _built(
 def timed(
     settings: LayerSettings, case: str, batch: int, built: dict[str, Call], data: Tensors
 ) -> Iterator[dict[str, Any]]:
-    """Rows of a case and a batch size."""
+    """Yield the rows of a case and a batch size."""
     starts = range(0, len(data["wrench"]) - batch + 1, batch)[: settings.calls]
-    parts = [{name: values[k : k + batch] for name, values in data.items()} for k in starts]
-    given = {True: [leaves(part) for part in parts], False: parts}
-    cones = [leaves(cone_form(**part)[0]) for part in parts] if case == "hard" else []
+    batches = [{name: values[k : k + batch] for name, values in data.items()} for k in starts]
+    differentiable = [leaves(batch_data) for batch_data in batches]
+    cones = [leaves(cone_form(**batch_data)[0]) for batch_data in batches] if case == "hard" else []
     for turn in range(settings.rounds):
         reference = np.empty(0)
         for name, call in built.items():
             tick(f"{case}, batch of {batch}, round {turn + 1} of {settings.rounds}: {name}")
-            took = seconds(
-                call,
-                cones if name in PEERS else given[name != FORWARD],
-                name != FORWARD,
-                settings.passes,
-            )
-            reference = took if name == LAYER else reference
-            for k, each in enumerate(took):
-                row = {
+            backward = name != FORWARD
+            inputs = cones if name in PEERS else differentiable if backward else batches
+            times = seconds(call, inputs, backward, settings.passes)
+            reference = times if name == LAYER else reference
+            for k, time_of_call in enumerate(times):
+                yield {
                     "case": case,
                     "batch": batch,
                     "method": name,
                     "problem": k,
-                    "microseconds": 1e6 * each / batch,
+                    "microseconds": 1e6 * time_of_call / batch,
+                    "ratio": time_of_call / reference[k] if name in PEERS else None,
                 }
-                yield row | {"ratio": each / reference[k] if name in PEERS else None}
 
 
-def leaves(given: Tensors) -> Tensors:
+def leaves(inputs: Tensors) -> Tensors:
     """Return copies of the tensors that require gradients."""
-    return {name: values.detach().clone().requires_grad_() for name, values in given.items()}
+    return {name: values.detach().clone().requires_grad_() for name, values in inputs.items()}
 
 
-def seconds(call: Call, given: list[Tensors], backward: bool, passes: int) -> Array:
-    """Return (calls,) seconds of each call, the best of the passes, without the first call."""
-    best = np.full(len(given), np.inf)
-    step(call, given[0], backward)
+def seconds(call: Call, inputs: list[Tensors], backward: bool, passes: int) -> Array:
+    """Return (calls,) seconds of data call, the best of the passes, without the first call."""
+    best = np.full(len(inputs), np.inf)
+    step(call, inputs[0], backward)
     for _ in range(passes):
-        for k, each in enumerate(given):
+        for k, data in enumerate(inputs):
             begin = time.perf_counter()
-            step(call, each, backward)
+            step(call, data, backward)
             best[k] = min(best[k], time.perf_counter() - begin)
     return best
 
 
-def step(call: Call, given: Tensors, backward: bool) -> None:
+def step(call: Call, inputs: Tensors, backward: bool) -> None:
     """Make one call, if `backward` with the gradient of the sum of squared forces."""
     if not backward:
         with torch.no_grad():
-            call(**given)
+            call(**inputs)
         return
-    force = call(**given)
-    torch.autograd.grad(force, list(given.values()), 2.0 * force.detach(), allow_unused=True)
+    force = call(**inputs)
+    torch.autograd.grad(force, list(inputs.values()), 2.0 * force.detach(), allow_unused=True)
 
 
 def compared(grasps: list[Grasp], data: Tensors, built: dict[str, Call]) -> Iterator[pd.DataFrame]:
-    """Rows of the answers to all problems, as one batch."""
+    """Yield the rows of the answers to all problems, as one batch."""
     cone, axes = cone_form(**data)
     exact = optimize_forces(
         grasps, data["wrench"].numpy(), method="conic", tolerance=1e-10, workers=1
     )
     least = np.array([solution.force[:, 0].sum() for solution in exact])
-    known, slopes = answers(built[LAYER], data, False)
+    force, gradients = answers(built[LAYER], data, False)
     for name, call in built.items():
         if name == FORWARD:
             continue
         tick(f"checking {name}")
-        force, found = answers(call, data, name in PEERS)
-        parts = (force[..., None, :] * axes).sum(dim=-1) / axes.square().sum(dim=-1)
-        left = (cone["matrix"] @ parts.flatten(1)[..., None])[..., 0] + cone["load"]
-        balance = (left.abs().amax(dim=1) / cone["load"].abs().amax(dim=1)).numpy()
+        other, other_gradients = answers(call, data, name in PEERS)
+        x = (other[..., None, :] * axes).sum(dim=-1) / axes.square().sum(dim=-1)
+        residual = (cone["matrix"] @ x.flatten(1)[..., None])[..., 0] + cone["load"]
+        balance = (residual.abs().amax(dim=1) / cone["load"].abs().amax(dim=1)).numpy()
         rows = pd.DataFrame(
             {
                 "balance": balance,
                 "failed": ~(balance <= BALANCED),
-                "force_excess": (parts[..., 0] * cone["cost"]).sum(dim=1).numpy() / least - 1.0,
+                "force_excess": (x[..., 0] * cone["cost"]).sum(dim=1).numpy() / least - 1.0,
             }
         )
         if CONTESTANTS[name].phi and name != LAYER:
-            rows["force_difference"] = _apart(force, known).numpy()
-            rows["gradient_difference"] = (
-                torch.stack(list(map(_apart, found, slopes))).amax(dim=0).numpy()
-            )
+            differences = torch.stack(list(map(_difference, other_gradients, gradients)))
+            rows["force_difference"] = _difference(other, force).numpy()
+            rows["gradient_difference"] = differences.amax(dim=0).numpy()
         yield rows.assign(case=ANSWERS, batch=len(grasps), method=name, problem=rows.index)
 
 
 def answers(call: Call, data: Tensors, cone: bool) -> tuple[Any, tuple[Any, ...]]:
-    """The forces (n, N, 3) [N] in the frame of the positions, and the gradients of the sum of their
-    squares with respect to all of `data`.
+    """Return the forces (n, N, 3) [N] and the gradients of the sum of their squares.
 
     Args:
         call: a layer.
         data: inputs of ours.
         cone: True if the layer takes the problem in cone coordinates.
     """
-    given = leaves(data)
+    inputs = leaves(data)
     if cone:
-        problem, axes = cone_form(**given)
+        problem, axes = cone_form(**inputs)
         force = (call(**problem).unflatten(1, (-1, 3))[..., None] * axes).sum(dim=-2)
     else:
-        force = call(**given)
-    return force.detach(), torch.autograd.grad(force, list(given.values()), 2.0 * force.detach())
+        force = call(**inputs)
+    return force.detach(), torch.autograd.grad(force, list(inputs.values()), 2.0 * force.detach())
 
 
-def _apart(values: Any, known: Any) -> Any:
-    """Return (n,) largest differences from the known values, relative to their largest components."""
+def _difference(values: Any, known: Any) -> Any:
+    """Return the largest differences (n,), relative to the largest known components."""
     return (values - known).flatten(1).abs().amax(dim=1) / known.flatten(1).abs().amax(dim=1)
 
 
 def _takes(case: str, method: str, batch: int, most: float) -> Claim:
     query = f"case == '{case}' and method == '{method}' and batch == {batch}"
-    return Claim(
-        f"{method}, {case}, batch of {batch}", query, "microseconds_median", "<=", most, unit="us"
-    )
+    label = f"{method}, {case}, batch of {batch}"
+    return Claim(label, query, "microseconds_median", "<=", most, unit="us")
 
 
 def _faster(method: str, batch: int, least: float) -> Claim:
     query = f"case == 'hard' and method == '{method}' and batch == {batch}"
-    return Claim(
-        f"time of {method} over ours, batch of {batch}", query, "ratio_median", ">=", least
-    )
+    label = f"time of {method} over ours, batch of {batch}"
+    return Claim(label, query, "ratio_median", ">=", least)
+
+
+def _close(kind: str, most: float) -> Claim:
+    query = f"case == '{ANSWERS}' and method == 'cvxpylayers_clarabel'"
+    label = f"{kind}s of cvxpylayers_clarabel: difference from ours"
+    return Claim(label, query, f"{kind}_difference_max", "<=", most)
 
 
 BENCHMARK = Benchmark(
@@ -334,10 +319,9 @@ BENCHMARK = Benchmark(
         "force_excess_max",
     ),
     claims=(
-        *(
-            _takes(case, LAYER, 1000, most)
-            for case, most in {"hard": 4.0, "limits": 8.0, "soft": 10.0}.items()
-        ),
+        _takes("hard", LAYER, 1000, 4.0),
+        _takes("limits", LAYER, 1000, 8.0),
+        _takes("soft", LAYER, 1000, 10.0),
         _takes("hard", FORWARD, 1, 60.0),
         *(
             _faster(name, batch, least)
@@ -348,16 +332,8 @@ BENCHMARK = Benchmark(
             }.items()
             for batch, least in zip((1, 32, 1000), targets, strict=True)
         ),
-        *(
-            Claim(
-                f"{kind}s of cvxpylayers_clarabel: difference from ours",
-                f"case == '{ANSWERS}' and method == 'cvxpylayers_clarabel'",
-                f"{kind}_difference_max",
-                "<=",
-                most,
-            )
-            for kind, most in {"force": 1e-4, "gradient": 1e-3}.items()
-        ),
+        _close("force", 1e-4),
+        _close("gradient", 1e-3),
     ),
     words={name: contestant.setting for name, contestant in CONTESTANTS.items()},
 )

@@ -1,10 +1,7 @@
-"""Differentiable layers of other packages for grasp forces, each with its best settings.
+"""Differentiable layers of other packages for grasp forces, with their best settings.
 
-A new one is an entry of `PEERS`.
-
-They receive precomputed inputs in cone coordinates (u, o, t) as in `problem.py`: A (n, 6, 3N), w
-(n, 6) and the cost of each u (n, N). Packages are imported when a layer is made, so that this
-module imports without them.
+A new one is an entry of `PEERS`. Inputs are in cone coordinates (u, o, t): A (n, 6, 3N), w (n, 6)
+and the cost of each u (n, N). A package is imported when its layer is built.
 """
 
 from __future__ import annotations
@@ -24,7 +21,7 @@ with need("train"):
 Tensors: TypeAlias = dict[str, Any]
 """Tensors by name; the first dimension is that of the problems."""
 Call: TypeAlias = Callable[..., Any]
-"""Take tensors by name, returns the forces of a batch."""
+"""Map tensors by name to the forces of a batch."""
 
 CONTACTS = 4
 """Contacts of each problem."""
@@ -40,8 +37,7 @@ class Contestant:
 
     Attributes:
         setting: settings, in words.
-        build: makes the layer for batches of one size, not timed; raises `ImportError` where it is
-            not installed.
+        build: makes the layer for batches of one size; raises `ImportError` if not installed.
         packages: what pip installs; "": ours.
         phi: True if it minimises Phi, so its results should equal ours.
     """
@@ -53,13 +49,13 @@ class Contestant:
 
 
 def cone_form(positions: Any, normals: Any, friction: Any, wrench: Any) -> tuple[Tensors, Any]:
-    """The problem A x + w = 0 in cone coordinates, with moments about the contacts' centre in units
-    of their distance from it.
+    """Return the problem A x + w = 0 in cone coordinates, differentiable in all arguments.
+
+    Moments are about the contacts' centre in units of their distance from it.
 
     Returns:
         `matrix` A (..., 6, 3N), `load` w (..., 6) and `cost` 1 / friction (..., N); and (..., N, 3,
         3), the force of unit x along u, o and t.
-        All are differentiable with respect to all arguments.
     """
     inward = torch.nn.functional.normalize(normals, dim=-1)
     across = torch.nn.functional.one_hot(inward.detach().abs().argmin(dim=-1), 3).to(inward)
@@ -67,22 +63,20 @@ def cone_form(positions: Any, normals: Any, friction: Any, wrench: Any) -> tuple
     axes = torch.stack(
         [inward / friction[..., None], first, torch.linalg.cross(inward, first)], dim=-2
     )
-    # another centre or unit gives equations with the same solutions, so no gradient passes through
-    # them
+    # solutions do not depend on centre and unit: no gradient passes through them
     centre = positions.detach().mean(dim=-2, keepdim=True)
     arms = positions - centre
     unit = arms.detach().square().sum(dim=-1).mean(dim=-1).sqrt()[..., None]
     moments = torch.linalg.cross(arms[..., None, :].expand_as(axes), axes) / unit[..., None, None]
     matrix = torch.cat([axes, moments], dim=-1).flatten(-3, -2).transpose(-1, -2)
     force, moment = wrench.split(3, dim=-1)
-    load = torch.cat(
-        [force, (moment - torch.linalg.cross(centre[..., 0, :], force)) / unit], dim=-1
-    )
+    moment = (moment - torch.linalg.cross(centre[..., 0, :], force)) / unit
+    load = torch.cat([force, moment], dim=-1)
     return {"matrix": matrix, "load": load, "cost": 1.0 / friction}, axes
 
 
 def cvxpylayer(batch: int, **options: Any) -> Call:
-    """Phi as a problem of cvxpy, with A and w as its parameters."""
+    """Build Phi as a problem of cvxpy, with A and w as its parameters."""
     cp = import_module("cvxpy")
     layers = import_module("cvxpylayers.torch")
     matrix = cp.Parameter((6, 3 * CONTACTS))
@@ -99,38 +93,38 @@ def cvxpylayer(batch: int, **options: Any) -> Call:
 
 
 def moreau(batch: int) -> Call:
-    """The least sum of normal forces over exact cones.
+    """Build the least sum of normal forces over exact cones.
 
-    With the default derivatives, cones on the variables themselves (`DirectConeSpec`) are the
-    fastest of three forms: cones on slacks take 1.2 to 1.5 times as long, the dual problem 1.04 to
-    1.3 times. With `diff_method="exact"` the dual takes 0.9 to 0.97 times as long, a little less
-    exact.
+    With the default derivatives, cones on the variables (`DirectConeSpec`) are the fastest of three
+    forms: cones on slacks take 1.2 to 1.5 times as long, the dual problem 1.04 to 1.3 times. With
+    `diff_method="exact"` the dual takes 0.9 to 0.97 times as long, a little less exact.
     """
     solver = import_module("moreau")
     layers = import_module("moreau.torch")
     size = 3 * CONTACTS
-    each = [solver.DirectConeSpec(kind="soc", indices=[k, k + 1, k + 2]) for k in range(0, size, 3)]
-    made = layers.Solver(
+    cones = [
+        solver.DirectConeSpec(kind="soc", indices=[k, k + 1, k + 2]) for k in range(0, size, 3)
+    ]
+    layer = layers.Solver(
         size,
         6,
         torch.zeros(size + 1, dtype=torch.int64),
         torch.zeros(0, dtype=torch.int64),
         torch.arange(0, 6 * size + 1, size),
         torch.arange(size).repeat(6),
-        solver.Cones(num_zero_cones=6, dir_cones=each),
+        solver.Cones(num_zero_cones=6, dir_cones=cones),
         solver.Settings(device="cpu", solver="ipm", batch_size=batch, enable_grad=True),
     )
     quadratic = torch.zeros(batch, 0, dtype=torch.float64)
     return lambda matrix, load, cost: (
-        made.solve(quadratic, matrix.flatten(1), _along_normals(cost), -load).x
+        layer.solve(quadratic, matrix.flatten(1), _along_normals(cost), -load).x
     )
 
 
 def qplayer(batch: int) -> Call:
-    """The least sum of normal forces and half of the squared forces, over pyramids inside the
-    cones.
+    """Build the least sum of normal forces and half of the squared forces over inner pyramids.
 
-    Without the squares the solver ends without a solution of most problems.
+    Without the squares the solver fails on most problems.
     """
     solve = import_module("proxsuite.torch.qplayer").QPFunction()
     angles = 2.0 * math.pi / EDGES * torch.arange(EDGES, dtype=torch.float64)
@@ -145,17 +139,12 @@ def qplayer(batch: int) -> Call:
 
 
 def _along_normals(cost: Any) -> Any:
-    """(..., 3N) from (..., N): zero along tangents."""
+    """Pad (..., N) to (..., 3N) with zeros along tangents."""
     return torch.nn.functional.pad(cost[..., None], (0, 2)).flatten(-2)
 
 
-_CLARABEL = {
-    "solve_method": "Clarabel",
-    "mode": "dense",
-    "tol_gap_abs": 1e-10,
-    "tol_gap_rel": 1e-10,
-    "tol_feas": 1e-10,
-}
+_CLARABEL: dict[str, Any] = {"solve_method": "Clarabel", "mode": "dense"}
+_CLARABEL |= dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), 1e-10)
 _SERIAL = {"n_jobs_forward": 1, "n_jobs_backward": 1}
 PEERS = {
     "cvxpylayers": Contestant(

@@ -11,34 +11,30 @@ from grasp_env.inputs.arguments import Array
 from training.data.grasps import BENCH, PRESETS
 
 WARM_UP = 20
-"""Call before any is timed."""
+"""Number of untimed calls."""
 
 
 def closed_grasps(rng: np.random.Generator, count: int, number: int) -> list[Grasp]:
-    """`number` grasps of `count` contacts: the preset of that size first, then random ones with
-    force closure.
-    """
+    """Return a preset of `count` contacts, if there is one, and random grasps with force closure."""
     first = [PRESETS[count]()] if count in PRESETS else []
     return first + [BENCH.closed(rng, count) for _ in range(number - len(first))]
 
 
 def problems(seed: int, count: int, wrenches: int, number: int = 4) -> list[tuple[Grasp, Array]]:
-    """[(grasp, wrenches (n, 6))]: `wrenches` in all, in the standard ball, shared out over `number`
-    grasps.
-    """
+    """Return `number` grasps with wrenches (n, 6) of the standard ball, `wrenches` in all."""
     rng = np.random.default_rng([seed, count])
-    parts = np.array_split(sample_ball(rng, wrenches), number)
-    return list(zip(closed_grasps(rng, count, number), parts, strict=True))
+    loads = np.array_split(sample_ball(rng, wrenches), number)
+    return list(zip(closed_grasps(rng, count, number), loads, strict=True))
 
 
 def compiled_times(optimizer: ForceOptimizer, wrenches: Array, passes: int) -> tuple[Array, Array]:
-    """(n,) seconds of one compiled call for each wrench (n, 6), certificate included, and the
-    records of the solutions.
+    """Return seconds (n,) of a compiled call for each wrench (n, 6), and the solutions' records.
 
-    Loop and clock are compiled, too; every call is the first of its optimizer.
+    Certificates are included. Loop and clock are compiled, too; every call is the first of its
+    optimizer.
     """
     loads = np.array(wrenches)
-    best = np.empty(len(wrenches))
+    best = np.empty(len(loads))
     records = np.zeros((len(loads), optimizer.core.size))
     optimizer.core.times(loads[:WARM_UP], 1, records[:WARM_UP], best[:WARM_UP])
     optimizer.core.times(loads, passes, records, best)

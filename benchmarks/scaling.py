@@ -16,8 +16,8 @@ TOLERANCES = {"conic": 1e-6, "newton": 1e-8}
 
 
 def run(settings: TimingSettings) -> pd.DataFrame:
-    """Microseconds and iterations of compiled `conic` and `newton` calls, a row for each problem."""
-    parts = []
+    """Return microseconds and iterations of compiled calls, a row for each problem."""
+    tables = []
     for count in settings.contacts:
         tick(f"{count} contacts")
         for method, tolerance in TOLERANCES.items():
@@ -25,11 +25,10 @@ def run(settings: TimingSettings) -> pd.DataFrame:
                 problems(settings.seed, count, settings.wrenches)
             ):
                 optimizer = ForceOptimizer(grasp, method=method, tolerance=tolerance)
-                seconds, records = compiled_times(
-                    optimizer, loads, settings.rounds * settings.passes
-                )
+                passes = settings.rounds * settings.passes
+                seconds, records = compiled_times(optimizer, loads, passes)
                 steps = records[:, ITERATIONS]
-                parts.append(
+                tables.append(
                     pd.DataFrame(
                         {
                             "method": method,
@@ -41,13 +40,11 @@ def run(settings: TimingSettings) -> pd.DataFrame:
                         }
                     )
                 )
-    return join(parts)
+    return join(tables)
 
 
 def lines(summary: pd.DataFrame) -> Iterator[str]:
-    """The straight line through the medians of each method, and the slope in log-log from 16
-    contacts on: 1 for linear cost.
-    """
+    """Yield the line through the medians of each method, and the log-log slope from 16 contacts on."""
     for method, rows in summary.groupby("method", sort=False):
         n, us = (
             rows[name].to_numpy(np.float64) for name in ("contacts", "step_microseconds_median")
@@ -55,11 +52,14 @@ def lines(summary: pd.DataFrame) -> Iterator[str]:
         if len(n) < 3:
             continue
         slope, offset = np.polyfit(n, us, 1)
-        left = us - (slope * n + offset)
+        residuals = us - (slope * n + offset)
+        r2 = 1.0 - (residuals**2).sum() / ((us - us.mean()) ** 2).sum()
+        power = ""
         large = n >= 16
-        r2 = 1.0 - (left**2).sum() / ((us - us.mean()) ** 2).sum()
-        power = f", log-log slope {np.polyfit(np.log(n[large]), np.log(us[large]), 1)[0]:.2f} from 16 contacts on"
-        yield f"{method}: {offset:.2f} + {slope:.3f} N us for an iteration, r2 {r2:.3f}{power if large.sum() > 1 else ''}"
+        if large.sum() > 1:
+            exponent = np.polyfit(np.log(n[large]), np.log(us[large]), 1)[0]
+            power = f", log-log slope {exponent:.2f} from 16 contacts on"
+        yield f"{method}: {offset:.2f} + {slope:.3f} N us for an iteration, r2 {r2:.3f}{power}"
 
 
 BENCHMARK = Benchmark(

@@ -30,81 +30,78 @@ def summarised(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def earlier(folder: Path, kind: str) -> pd.DataFrame:
-    """Return the summary of an earlier run, or raise an `InvalidInputError` if the folder holds
-    none of this kind.
-    """
+    """Return the summary of an earlier run of this kind, or raise an `InvalidInputError`."""
     if not os.path.isfile(folder / "run.json"):
         raise InvalidInputError(
             f"{folder} holds no run: give the folder of an earlier run of kind {kind}"
         )
     with understood(folder, "run the benchmark again"):
-        found = Run(folder).read_json("run.json")["kind"]
-        if found != kind:
+        stored = Run(folder).read_json("run.json")["kind"]
+        if stored != kind:
             raise InvalidInputError(
-                f"{folder} is a run of kind {shown(found)}: give one of kind {kind}"
+                f"{folder} is a run of kind {shown(stored)}: give one of kind {kind}"
             )
         return summarised(Run(folder).load()[0])
 
 
 def beside(now: pd.DataFrame, before: pd.DataFrame, columns: tuple[str, ...]) -> pd.DataFrame:
-    """The times and rates of two summaries, joined by their keys: `before`, `now` and `ratio`, now
-    over before.
-    """
+    """Return times and rates of two summaries: `before`, `now` and `ratio`, now over before."""
     keys = [name for name in KEYS if name in now.columns and name in before.columns]
     timed = [name for name in columns if _split(name)[0] in {*TIMES} - {"ratio"}]
-    known = [name for name in timed if name in now.columns and name in before.columns]
-    parts = [
-        made.melt(keys, known, "measure", what) for made, what in ((before, "before"), (now, "now"))
-    ]
-    joined = parts[0].merge(parts[1], on=[*keys, "measure"]).dropna(subset=["before", "now"])
+    both = [name for name in timed if name in now.columns and name in before.columns]
+    left = before.melt(keys, both, "measure", "before")
+    right = now.melt(keys, both, "measure", "now")
+    joined = left.merge(right, on=[*keys, "measure"]).dropna(subset=["before", "now"])
     return joined.assign(ratio=joined["now"] / joined["before"])
 
 
 def as_json(
     benchmark: Benchmark, rows: pd.DataFrame, about: dict[str, Any], before: pd.DataFrame | None
 ) -> str:
-    """Return one object with the description of the run, its summary and claims."""
-    found = summarised(rows)
+    """Return one object with the run's description, summary and claims."""
+    now = summarised(rows)
     claims = [
         {"claim": row.claim.name, "target": row.target, "measured": row.measured, "met": row.met}
-        for row in judge(benchmark.claims, found)
+        for row in judge(benchmark.claims, now)
     ]
-    tables = {"rows": found} | (
-        {} if before is None else {"compared": beside(found, before, benchmark.shown)}
-    )
-    parts = {
-        name: made.astype(object).where(made.notna(), None).to_dict("records")
-        for name, made in tables.items()
+    tables = {"rows": now}
+    if before is not None:
+        tables["compared"] = beside(now, before, benchmark.shown)
+    records = {
+        name: table.astype(object).where(table.notna(), None).to_dict("records")
+        for name, table in tables.items()
     }
-    return json.dumps({**about, **parts, "claims": claims}) + "\n"
+    return json.dumps({**about, **records, "claims": claims}) + "\n"
 
 
 def as_text(
     benchmark: Benchmark, rows: pd.DataFrame, about: dict[str, Any], before: pd.DataFrame | None
 ) -> str:
-    """Yield a table for each case, then notes and claims."""
+    """Return a table for each case, then notes and claims."""
     return "".join(f"{line}\n" for line in _lines(benchmark, summarised(rows), about, before))
 
 
 def _lines(
-    benchmark: Benchmark, found: pd.DataFrame, about: dict[str, Any], before: Any
+    benchmark: Benchmark, now: pd.DataFrame, about: dict[str, Any], before: Any
 ) -> Iterator[str]:
     if about["quick"]:
         yield "QUICK: a small version, whose numbers are rough"
-    for case, part in (
-        found.groupby("case", sort=False) if "case" in found.columns else [("", found)]
-    ):
-        yield f"{case}\n{_table(part, [name for name in KEYS if name != 'case'], ['n', *benchmark.shown])}\n"
+    keys = [name for name in KEYS if name != "case"]
+    cases = now.groupby("case", sort=False) if "case" in now.columns else [("", now)]
+    for case, rows in cases:
+        yield f"{case}\n{_table(rows, keys, ['n', *benchmark.shown])}\n"
     yield from (
         f"{name}: {benchmark.words[name]}"
-        for name in found["method"].dropna().unique()
+        for name in now["method"].dropna().unique()
         if name in benchmark.words
     )
     yield from (f"{name} was not measured: {reason}" for name, reason in about["missing"].items())
-    yield from benchmark.notes(found)
-    yield from lines([row for row in judge(benchmark.claims, found) if row.met is not None])
+    yield from benchmark.notes(now)
+    yield from lines([row for row in judge(benchmark.claims, now) if row.met is not None])
     if before is not None:
-        yield f"\nbeside the earlier run\n{_table(beside(found, before, benchmark.shown), [*KEYS, 'measure'], ['before', 'now', 'ratio'])}\n"
+        compared = beside(now, before, benchmark.shown)
+        table = _table(compared, [*KEYS, "measure"], ["before", "now", "ratio"])
+        yield f"\nbeside the earlier run\n{table}\n"
     machine = about["machine"]
     yield f"{machine['processor']}, {machine['cores']} cores, Python {machine['python']}; warm-up excluded: compare rows of one run"
 
@@ -117,6 +114,6 @@ def _table(rows: pd.DataFrame, keys: list[str], values: list[str]) -> str:
 
 
 def _split(name: str) -> tuple[str, str]:
-    """A column of a summary as column and statistic."""
+    """Split a column of a summary into column and statistic."""
     base, _, statistic = name.rpartition("_")
     return (base, statistic) if base in COLUMNS else (name, "")
