@@ -1,3 +1,1 @@
-"""Timings in one process: `python -m benchmarks`. Times depend on machine and moment, so compare
-rows of one run.
-"""
+"""Timings by `python -m benchmarks`; compare rows of one run, as times depend on the moment."""

@@ -208,10 +208,7 @@ ROWS: dict[str, tuple[str, Callable[[Case, int], Answers]]] = {
             python, wrenches="path_wrenches", method="newton", tolerance=1e-8, initial="previous"
         ),
     ),
-    "conic": (
-        "conic to 1e-6, compiled call",
-        partial(compiled, method="conic", tolerance=1e-6),
-    ),
+    "conic": ("conic to 1e-6, compiled call", partial(compiled, method="conic", tolerance=1e-6)),
     "conic_python": (
         "the same, ForceOptimizer.solve from Python",
         partial(python, method="conic", tolerance=1e-6),
@@ -240,10 +237,7 @@ ROWS: dict[str, tuple[str, Callable[[Case, int], Answers]]] = {
         "Grasp.from_contacts and optimize_force, newton to 1e-4",
         partial(new_contacts, method="newton"),
     ),
-    "new_contacts_conic": (
-        "the same, conic to 1e-6",
-        partial(new_contacts, method="conic"),
-    ),
+    "new_contacts_conic": ("the same, conic to 1e-6", partial(new_contacts, method="conic")),
     "batch_grasps_newton": (
         "optimize_forces of as many grasps as wrenches on one core, newton",
         partial(batch, method="newton"),
@@ -261,10 +255,7 @@ ROWS: dict[str, tuple[str, Callable[[Case, int], Answers]]] = {
         "Grasp.unchecked",
         lambda case, passes: new_grasp(case, passes, "unchecked", case["grasp"].models),
     ),
-    "flow": (
-        "the paper's flow, ForceOptimizer.solve",
-        partial(python, method="reduced_flow"),
-    ),
+    "flow": ("the paper's flow, ForceOptimizer.solve", partial(python, method="reduced_flow")),
     "soft": (
         "soft contacts, newton to 1e-4, ForceOptimizer.solve",
         partial(python, grasp="soft", method="newton", tolerance=1e-4),

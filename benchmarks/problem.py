@@ -14,17 +14,16 @@ WARM_UP = 20
 """Number of untimed calls."""
 
 
-def closed_grasps(rng: np.random.Generator, count: int, number: int) -> list[Grasp]:
-    """Return a preset of `count` contacts, if there is one, and random grasps with force closure."""
-    first = [PRESETS[count]()] if count in PRESETS else []
-    return first + [BENCH.closed(rng, count) for _ in range(number - len(first))]
-
-
 def problems(seed: int, count: int, wrenches: int, number: int = 4) -> list[tuple[Grasp, Array]]:
-    """Return `number` grasps with wrenches (n, 6) of the standard ball, `wrenches` in all."""
+    """Return `number` grasps with wrenches (n, 6) of the standard ball, `wrenches` in all.
+
+    The first grasp is a preset if there is one of `count` contacts, others are random.
+    """
     rng = np.random.default_rng([seed, count])
     loads = np.array_split(sample_ball(rng, wrenches), number)
-    return list(zip(closed_grasps(rng, count, number), loads, strict=True))
+    grasps = [PRESETS[count]()] if count in PRESETS else []
+    grasps += [BENCH.closed(rng, count) for _ in range(number - len(grasps))]
+    return list(zip(grasps, loads, strict=True))
 
 
 def compiled_times(optimizer: ForceOptimizer, wrenches: Array, passes: int) -> tuple[Array, Array]:

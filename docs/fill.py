@@ -282,10 +282,7 @@ def rl_speed() -> str:
             mine = here[here["agent"] == agent].set_index("case")
             if "with training" in mine.index:
                 rows.append(
-                    {
-                        "environment": place(environment),
-                        "agent": label,
-                    }
+                    {"environment": place(environment), "agent": label}
                     | {
                         f"steps/s, {case}": round(mine.loc[case, "per_second_median"])
                         for case in SPEEDS

@@ -98,8 +98,7 @@ class TrainedAgent:
         """Load the newest checkpoint of a seed's folder of `grasp rl`, or a checkpoint folder.
 
         Raises:
-            ModelFileError: files are missing, truncated, changed, or for another schema,
-                environment or observation.
+            ModelFileError: files are missing, damaged, or for another schema or environment.
         """
         folder = find_checkpoint(folder)
         meta = read_meta(folder)
@@ -143,6 +142,5 @@ class TrainedAgent:
             log = self._deviation
             log = np.clip(x @ log[0] + log[1], -20.0, 2.0) if self._squashed else log
             action = action + np.exp(log) * self._rng.standard_normal(action.shape)
-        return (np.tanh(action) if self._squashed else np.clip(action, -1.0, 1.0)).astype(
-            np.float32
-        ), state
+        action = np.tanh(action) if self._squashed else np.clip(action, -1.0, 1.0)
+        return action.astype(np.float32), state

@@ -38,10 +38,9 @@ def write_checkpoint(
 
     Args:
         parent: folder of the checkpoints.
-        steps: environment steps so far, part of the folder's name.
+        steps: environment steps so far.
         meta: description of the agent, JSON-serialisable.
-        tensors: arrays by file stem, written as `<stem>.safetensors`.
-        arrays: arrays by file stem, written as `<stem>.npz`.
+        tensors, arrays: by file stem, written as `<stem>.safetensors` and `<stem>.npz`.
 
     Raises:
         ModelFileError: the folder cannot be written; the older checkpoints are kept.
@@ -101,8 +100,7 @@ def read_meta(folder: Path) -> dict[str, Any]:
     """Read and check the description of a checkpoint.
 
     Raises:
-        ModelFileError: the file is missing, not JSON, changed, or for another schema, environment
-            or observation.
+        ModelFileError: missing, not JSON, changed, or for another schema or environment.
     """
     file = folder / META
     meta = described(file, SCHEMA, "agent", "grasp rl")
@@ -155,15 +153,9 @@ def _read(
             )
         return read(blob)
 
-    return parsed(
-        file,
-        checked,
-        ModelFileError,
-        f"agent file {file}",
-        "a file of arrays",
-        f": {_AGAIN}",
-        WEIGHTS,
-    )
+    what = f"agent file {file}"
+    hint = f": {_AGAIN}"
+    return parsed(file, checked, ModelFileError, what, "a file of arrays", hint, WEIGHTS)
 
 
 def _npz(values: dict[str, np.ndarray]) -> bytes:

@@ -65,8 +65,8 @@ class Checkpoint:
             path: either of the two files, or their common stem.
 
         Raises:
-            ModelFileError: missing, no file, too large, not JSON, another schema, changed, numbers
-                that are not finite in float32.
+            ModelFileError: missing, too large, not JSON, another schema, changed, or not finite in
+                float32.
         """
         stem = _stem(path)
         file = _file(stem, ".safetensors")
@@ -118,10 +118,9 @@ def described(file: Path, schema: str, what: str, command: str, most: int = TEXT
     """Read a JSON description.
 
     Args:
-        file: of up to `most` bytes.
+        file: path.
         schema: expected value of "schema".
-        what: kind of file, for messages.
-        command: writes such files, for messages.
+        what, command: kind of file and the command that writes it, for messages.
         most: largest size [bytes].
 
     Raises:

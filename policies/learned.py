@@ -85,17 +85,14 @@ class LearnedInitialForce:
         try:
             numbers = checkpoint.numbers
             sizes = list(numbers["sizes"])
-            stages = whole(len(sizes), "the number of sizes", 2, core.MOST_STAGES + 1)
+            whole(len(sizes), "the number of sizes", 2, core.MOST_STAGES + 1)
             self.sizes = tuple(
-                whole(sizes[k], f"sizes[{k}]", 1, core.WIDEST) for k in range(stages)
+                whole(size, f"sizes[{k}]", 1, core.WIDEST) for k, size in enumerate(sizes)
             )
             self.features = _features(numbers["features"])
             self.n_contacts = whole(numbers["n_contacts"], "n_contacts", 3, MOST_CONTACTS)
-            weights = (
-                positive(numbers[name], name, _POSITIVE)
-                for name in ("force_weight", "barrier_weight")
-            )
-            self._trained = Objective(*weights)
+            names = ("force_weight", "barrier_weight")
+            self._trained = Objective(*(positive(numbers[name], name, _POSITIVE) for name in names))
             self._degree = whole(numbers["friction_degree"], "friction_degree", 0, MOST_DEGREE)
             self._ranges = [_pair(checkpoint.ranges[name]) for name in ("magnitude", "friction")]
             outputs = 3 * self.n_contacts - 6
@@ -108,16 +105,14 @@ class LearnedInitialForce:
             raise ModelFileError(
                 f"the model is incomplete or malformed ({fault}); train anew with `grasp fit`"
             ) from None
+        powers = self._degree + 1
         shapes: dict[str, tuple[int, ...]] = {
             "reference": (3 * self.n_contacts, outputs),
             "pairs": (2 * n_lengths, 6),
         }
         for layer, (a, b) in enumerate(pairwise(self.sizes)):
-            powers = self._degree + 1
-            shapes |= {
-                f"layers.{layer}.weight": (powers, b, a),
-                f"layers.{layer}.bias": (powers, b),
-            }
+            shapes[f"layers.{layer}.weight"] = (powers, b, a)
+            shapes[f"layers.{layer}.bias"] = (powers, b)
         checkpoint.expect(shapes)
         self.checkpoint = checkpoint
         self.objective = self._trained if objective is None else as_objective(objective)
@@ -130,16 +125,14 @@ class LearnedInitialForce:
 
     @staticmethod
     def load(path: str | Path, *, remembers: bool = False) -> LearnedInitialForce:
-        """Load the model saved at `path` (either file or their stem).
+        """Load a model saved by `grasp fit`.
 
         Args:
-            path: model saved by `grasp fit`.
-            remembers: True to start from the previous solution if that is better, for control
-                loops.
+            path: either of its files, or their stem.
+            remembers: True to start from the previous solution if that has less Phi.
 
         Raises:
-            ModelFileError: the files are missing, truncated, changed, of another schema, or not a
-                model.
+            ModelFileError: the files are missing, damaged, of another schema, or not a model.
         """
         return LearnedInitialForce(Checkpoint.load(path), remembers=remembers)
 
@@ -156,8 +149,8 @@ class LearnedInitialForce:
         """Write the model for one grasp's contacts and this rule's Phi, for C++ programs.
 
         Args:
-            path: path of the file, which `grasp::ModelFile::load` reads.
-            grasp: hard contacts as in training.
+            path: file for `grasp::ModelFile::load`.
+            grasp: hard contacts, as many as in training.
 
         Raises:
             InfeasibleStartError: the model does not support these contacts.
@@ -199,11 +192,7 @@ class LearnedInitialForce:
         return type(self)(self.checkpoint, objective, self.remembers)
 
     def model(self, grasp: Grasp, objective: Objective) -> core.Model:
-        """Return the compiled model for a grasp and an objective.
-
-        Args:
-            grasp: the contacts.
-            objective: Phi.
+        """Return the compiled model for a `grasp` and an `objective`.
 
         Raises:
             InfeasibleStartError: the model does not support these contacts.
@@ -253,26 +242,24 @@ class LearnedInitialForce:
                 f"this model knows {self.n_contacts} contacts, the grasp has {grasp.n_contacts}; "
                 "use initial='linear_combination', or fit a model of your grasp"
             )
-        (_, largest_magnitude), (low, high) = self._ranges
+        (_, magnitude), (low, high) = self._ranges
         friction = float(grasp.friction.mean())
         scale = self._scale(grasp.n_contacts)
-        known = low <= friction <= high  # of a grasp, only the friction is checked
-        # polynomials do not extrapolate
-        nearest = min(max(friction, low), high) if self._degree else friction
-        model = core.Model.make(self._network(nearest), self._pairs)
+        # a negative magnitude: no wrench is in the training range
+        magnitude = magnitude * scale if low <= friction <= high else -1.0
+        if self._degree:  # polynomials do not extrapolate
+            friction = min(max(friction, low), high)
+        model = core.Model.make(self._network(friction), self._pairs)
         model.normalise(**asdict(self.features))
         internal = np.ascontiguousarray(null_space_basis(grasp, self._reference))
-        # a negative magnitude: no wrench is in the training range
-        model.place(internal, nearest, scale, largest_magnitude * scale if known else -1.0)
+        model.place(internal, friction, scale, magnitude)
         return model, internal
 
     def _scale(self, count: int) -> float:
         """Return sqrt(lambda / omega), averaged over the contacts, relative to that of training."""
-        weights = self.objective.weights(count)
-        trained = self._trained.weights(count)
-        return float(
-            np.sqrt((weights[:, 1] / weights[:, 0]).mean() * trained[0, 0] / trained[0, 1])
-        )
+        omega, lambda_ = self.objective.weights(count).T
+        trained = self._trained.weights(count)[0]
+        return float(np.sqrt((lambda_ / omega).mean() * trained[0] / trained[1]))
 
     def _network(self, friction: float) -> core.Network:
         """Return the network of a friction, cached for the last friction."""

@@ -251,10 +251,9 @@ class Measure:
         return float((self.over(force) / self.size).max(initial=0.0))
 
     def witness(self, multipliers: Array) -> float:
-        """Return the margin by which multipliers (v, p) prove that no force exists; <= 0 without
-        proof, at most 1.
+        """Return the margin by which multipliers (v, p) prove that no force exists.
 
-        Where G^T v + B^T p is in the dual cone of every contact, a force would give 0 <= f . (G^T v
+        It is at most 1, and <= 0 without proof. Where G^T v + B^T p is in the dual cone of every contact, a force would give 0 <= f . (G^T v
         + B^T p) <= p . b - v . w. The result is v . w - p . b over |v| |w| + p . |b|, with moments
         in the units of this module, so it does not depend on the scale of (v, p). If a contact is
         outside its dual cone, `ROUNDING` included, its normal force could gain that distance. It is

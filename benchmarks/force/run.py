@@ -142,12 +142,7 @@ class Timed:
         iterations = np.full(n, -1, np.int32)
         seconds = np.empty(n)
         cold = self.task.mode == "cold"
-        calls = (
-            compiled.solve,
-            compiled.context,
-            compiled.setup * cold,
-            compiled.close * cold,
-        )
+        calls = (compiled.solve, compiled.context, compiled.setup * cold, compiled.close * cold)
         results = (forces, multipliers, statuses, iterations, seconds)
         timer().force_times(
             *(ctypes.c_void_p(address or None) for address in calls),
