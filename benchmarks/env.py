@@ -185,8 +185,10 @@ def reset_times(name: str, options: dict[str, Any], seed: int, count: int) -> li
         for k in range(count + 5):
             begin = time.perf_counter_ns()
             env.reset(seed=seed + k)
-            taken = 1e-6 * (time.perf_counter_ns() - begin)
-            rows.append({"case": "reset", "method": name, "problem": k - 5, "milliseconds": taken})
+            milliseconds = 1e-6 * (time.perf_counter_ns() - begin)
+            rows.append(
+                {"case": "reset", "method": name, "problem": k - 5, "milliseconds": milliseconds}
+            )
         return rows[5:]  # the first are warm-up
     finally:
         env.close()

@@ -4,7 +4,7 @@ The controller runs in a separate process. The hand runs in this one: MuJoCo ste
 sends the messages of a hand, and converts the answers to torques. The contacts of each finger in
 turn are cut for a while, and messages stop now and then.
 
-The file is long because the hand, both controllers and their protocol of messages belong together.
+The hand, both controllers and their protocol of messages are in this file.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from training.evaluation.results.table import pd, table
 
 ROOT = Path(__file__).parents[1]
 UNITS = 240.0
-"""Largest command, for the largest torque of each joint."""
+"""Largest command, at the largest torque of each joint."""
 MARGIN = 0.9
 """Fraction of the true friction that the controller assumes."""
 BANDWIDTH = 40.0, 60.0
@@ -170,20 +170,11 @@ class SimulatedHand:
             touching[cut] = 0.0
         load = np.array(self.body.wrench(self.scene.core, self.target, self.scene.gravity))
         force = reading.rotation @ load[:3]
-        moment = reading.rotation @ load[3:]
-        return np.concatenate(
-            [
-                reading.angles,
-                reading.rates,
-                touching,
-                reading.touch.ravel(),
-                (reading.normals @ reading.rotation.T).ravel(),
-                force,
-                moment + np.cross(reading.position, force),
-                self.scene.gravity,
-                [SENSOR_AGE],
-            ]
-        )
+        moment = reading.rotation @ load[3:] + np.cross(reading.position, force)
+        normals = reading.normals @ reading.rotation.T
+        joints = reading.angles, reading.rates
+        contacts = touching, reading.touch.ravel(), normals.ravel()
+        return np.concatenate([*joints, *contacts, force, moment, self.scene.gravity, [SENSOR_AGE]])
 
 
 class Loop:
@@ -295,20 +286,15 @@ def build(folder: Path) -> Path:
     beside = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
     if (cmake := shutil.which("cmake", path=beside)) is None:
         raise SimulationError(
-            "the controller in C++ is built with cmake, which is not there: pip install cmake"
+            "the controller in C++ is built with cmake, which is missing: pip install cmake"
         )
     core = ROOT / "grasp_env" / "core"
     target = folder / "build"
-    options = [
-        "-DGRASP_EXAMPLES=ON",
-        "-DCMAKE_BUILD_TYPE=Release",
-        "-DCMAKE_CXX_FLAGS=-march=native",
-    ]
+    options = ["-DGRASP_EXAMPLES=ON", "-DCMAKE_BUILD_TYPE=Release"]
+    options += ["-DCMAKE_CXX_FLAGS=-march=native"]
+    configure = ["-S", core, "-B", target, *options]
     tick("the example is compiled")
-    for words in (
-        ["-S", core, "-B", target, *options],
-        ["--build", target, "--target", "hand_controller"],
-    ):
+    for words in (configure, ["--build", target, "--target", "hand_controller"]):
         ended = subprocess.run([cmake, *words], capture_output=True, text=True, check=False)
         if ended.returncode:
             raise SimulationError(f"cmake fails: {ended.stderr or ended.stdout}")

@@ -142,7 +142,7 @@ def force_tracks() -> str:
         {
             "track": f"`{track.name}`",
             "description": track.about["about"],
-            "problems": sum(len(session.problems) for session in track.sessions),
+            "problems": track.size,
             "modes": ", ".join(track.about["modes"]),
         }
         for track in map(load, names())

@@ -115,14 +115,11 @@ def _validate(args: Any) -> int:
     faults = []
     for track in tracks:
         faults += check(track)
-        if (
-            track.name in TRACKS
-            and generate(track.name, track.about["seed"]).digest() != track.about["sha256"]
-        ):
-            faults.append(f"{track.name}: seed {track.about['seed']} gives other problems here")
-        sys.stdout.write(
-            f"{track.name}: {sum(len(session.problems) for session in track.sessions)} problems\n"
-        )
+        if track.name in TRACKS:
+            seed = track.about["seed"]
+            if generate(track.name, seed).digest() != track.about["sha256"]:
+                faults.append(f"{track.name}: seed {seed} gives other problems here")
+        sys.stdout.write(f"{track.name}: {track.size} problems\n")
     sys.stdout.write("".join(f"{fault}\n" for fault in faults) or "all references hold\n")
     return int(bool(faults))
 
@@ -135,21 +132,18 @@ def _report(args: Any) -> int:
     for folder in args.runs:
         with understood(folder, "run the benchmark again"):
             loaded.append(Run.open(folder).load())
+    earlier, before = loaded[0]
     rows, about = loaded[-1]
     sys.stdout.write("\n".join([*lines(rows, about["unit"]), ""]))
-    other = [
-        name
-        for name, digest in about["tracks"].items()
-        if loaded[0][1]["tracks"].get(name, digest) != digest
-    ]
+    tracks = before["tracks"]
+    other = [name for name, sha in about["tracks"].items() if tracks.get(name, sha) != sha]
     if other:
         raise ValueError(
             f"the runs are of different problems: {', '.join(other)}; compare runs of the same --sets"
         )
     if len(loaded) > 1:
-        sys.stdout.write(
-            f"{args.runs[-1]} beside {args.runs[0]}, us\n{beside(rows, loaded[0][0]).to_string(index=False)}\n"
-        )
+        table = beside(rows, earlier).to_string(index=False)
+        sys.stdout.write(f"{args.runs[-1]} beside {args.runs[0]}, us\n{table}\n")
     return 0
 
 
@@ -191,16 +185,13 @@ def _generate(args: Any) -> int:
         if name not in TRACKS:
             raise ValueError(f"no track {name!r}: there are {', '.join(TRACKS)}")
         track = generate(name, args.seed)
+        objectives, digits = track.about["objectives"], track.about["digits"]
         sessions = [
-            replace(
-                session, references=refer(session, track.about["objectives"], track.about["digits"])
-            )
+            replace(session, references=refer(session, objectives, digits))
             for session in track.sessions
         ]
         save(replace(track, sessions=sessions), args.sets)
-        sys.stdout.write(
-            f"{args.sets / name}.npz: {sum(len(session.problems) for session in sessions)} problems\n"
-        )
+        sys.stdout.write(f"{args.sets / name}.npz: {track.size} problems\n")
     return 0
 
 

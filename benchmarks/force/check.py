@@ -53,18 +53,18 @@ def _faults(problem: Problem, name: str, reference: Reference, m: int) -> Iterat
         if not (value == other == lower == upper == np.inf and np.isnan(force).all()):
             yield "no force exists, but not all bounds are inf and all forces nan"
         return
-    *anew, reached = _measured(problem, name, reference, m)
-    for which, bound, computed in zip(("lower", "upper"), (lower, upper), anew, strict=True):
+    low, high, objective = _measured(problem, name, reference, m)
+    for label, bound, computed in (("lower", lower, low), ("upper", upper, high)):
         if not abs(bound - computed) <= ROUNDING * value:
-            yield f"the {which} bound is {computed!r}, stored {bound!r}"
-    for what, distance, most in (
+            yield f"the {label} bound is {computed!r}, stored {bound!r}"
+    for label, distance, most in (
         ("the gap between the bounds", upper - lower, GAP),
         ("the distance of the value from the upper bound", value - upper, GAP),
-        ("the distance of the value from the objective of the force", value - reached, AGREEMENT),
+        ("the distance of the value from the objective of the force", value - objective, AGREEMENT),
         ("the distance of the value from that of another solver", value - other, AGREEMENT),
     ):
         if not abs(distance) <= most * value:
-            yield f"{what} is {abs(distance) / value:.1e} of the optimum, more than {most:g}"
+            yield f"{label} is {abs(distance) / value:.1e} of the optimum, more than {most:g}"
 
 
 def _measured(

@@ -236,6 +236,11 @@ class Track:
     sessions: list[Session]
     about: dict[str, Any]
 
+    @property
+    def size(self) -> int:
+        """Number of problems."""
+        return sum(len(session.problems) for session in self.sessions)
+
     def digest(self) -> str:
         """Return the SHA-256 of the problems: name, type, shape and bytes of every array."""
         blobs = []
@@ -286,12 +291,12 @@ def load(name: str, folder: Path = SETS) -> Track:
             label: ({}, {}) for label in about["sessions"]
         }
         for key, array in unpacked(blob).items():
-            session, *where = key.split("/")
+            session, *names = key.split("/")
             arrays, references = sessions[session]
-            if len(where) == 1:
-                arrays[where[0]] = array
+            if len(names) == 1:
+                arrays[names[0]] = array
             else:
-                references.setdefault(where[0], {})[where[1]] = array
+                references.setdefault(names[0], {})[names[1]] = array
         track = Track(name, [], about)
         for label, (arrays, references) in sessions.items():
             optima = {objective: Reference(**fields) for objective, fields in references.items()}

@@ -291,10 +291,11 @@ def _standings(cell: Rows) -> list[dict[str, Any]]:
 
 
 def _standing(name: Any, runs: Rows) -> dict[str, Any]:
-    good = runs["solved"].astype(bool).to_numpy()
+    success = runs["solved"].astype(bool).to_numpy()
     times = numbers(runs, "microseconds")
-    solved = times[good]
-    mean = np.exp(np.log(np.where(good, times, np.maximum(times, PENALTY)) + SHIFT).mean()) - SHIFT
+    solved = times[success]
+    penalised = np.where(success, times, np.maximum(times, PENALTY))
+    mean = np.exp(np.log(penalised + SHIFT).mean()) - SHIFT
     p50, p99, most = np.percentile(solved, [50.0, 99.0, 100.0]) if len(solved) else (np.nan,) * 3
     many = numbers(runs, "many_microseconds") if "many_microseconds" in runs else np.array([np.nan])
     return {

@@ -86,22 +86,22 @@ class Timed:
 
     def passes(self, count: int) -> float:
         """Make passes over the problems in their order; return the seconds that they took."""
-        began = time.perf_counter()
+        begin = time.perf_counter()
         for _ in range(count):
             self._pass()
             self.calls += 1
-        taken = time.perf_counter() - began
+        seconds = time.perf_counter() - begin
         if self.task.mode == "persistent" and hasattr(self.solver, "solve_many"):
             self._all_at_once()
-        return taken
+        return seconds
 
     def _keep(self, m: int, answer: Parts, iterations: float) -> None:
         """Keep an answer that differs from the earlier ones."""
-        kept = self.answers[m]
-        if not kept:
+        earlier = self.answers[m]
+        if not earlier:
             self.iterations[m] = iterations
-        if not any(same(answer, other) for other in kept):
-            kept.append(answer)
+        if not any(same(answer, other) for other in earlier):
+            earlier.append(answer)
 
     def _in_python(self) -> None:
         solve = self.solver.solve
@@ -121,10 +121,10 @@ class Timed:
                 answer = solve(problem, start)
             except Exception as error:  # an error of a solver must not end the benchmark
                 answer = error
-            taken = 1e-9 * (clock() - begin)
+            seconds = 1e-9 * (clock() - begin)
             if m < 0:
                 continue
-            self.seconds[m] = min(self.seconds[m], taken)
+            self.seconds[m] = min(self.seconds[m], seconds)
             parts = parts_of(problem, answer)
             start = None
             if warm and parts.force is not None and parts.status == "solved":
@@ -160,14 +160,14 @@ class Timed:
             self._keep(m, parts_of(problem, answer), steps)
 
     def _all_at_once(self) -> None:
-        began = time.perf_counter()
+        begin = time.perf_counter()
         try:
             answers = self.solver.solve_many(self.problems)
-            taken = (time.perf_counter() - began) / len(self.problems)
+            seconds = (time.perf_counter() - begin) / len(self.problems)
             parts = [parts_of(*pair) for pair in zip(self.problems, answers, strict=True)]
         except Exception:  # such as NotImplementedError: this batch is not supported
             return
-        self.many = parts, min(taken, self.many[1] if self.many else np.inf)
+        self.many = parts, min(seconds, self.many[1] if self.many else np.inf)
 
 
 def same(one: Parts, other: Parts) -> bool:
@@ -204,25 +204,25 @@ def entrants(chosen: Sequence[str]) -> dict[str, Callable[[], Entrant]]:
     """
     makers: dict[str, Callable[[], Any]] = {}
     for spec in chosen:
-        where, _, what = ENTRANTS.get(spec, spec).rpartition(":")
-        if not where:
+        location, _, attribute = ENTRANTS.get(spec, spec).rpartition(":")
+        if not location:
             raise ValueError(
                 f"no entrant {spec!r}: choose of {', '.join(ENTRANTS)}, or give FILE.py:CLASS or FILE.so:FUNCTION"
             )
-        name = spec if spec in ENTRANTS else what
-        if where.endswith(".so"):
-            if not os.path.isfile(where):
-                raise ValueError(f"there is no file {where}: give FILE.so:FUNCTION")
-            make: Any = partial(Library, str(Path(where).resolve()), what)
+        name = spec if spec in ENTRANTS else attribute
+        if location.endswith(".so"):
+            if not os.path.isfile(location):
+                raise ValueError(f"there is no file {location}: give FILE.so:FUNCTION")
+            make: Any = partial(Library, str(Path(location).resolve()), attribute)
         else:
-            make = getattr(_module(where), what, None)
+            make = getattr(_module(location), attribute, None)
             if make is None:
-                raise ValueError(f"{where} has no {what}: give FILE.py:CLASS")
+                raise ValueError(f"{location} has no {attribute}: give FILE.py:CLASS")
             if lacking := [m for m in ("setup", "solve") if not callable(getattr(make, m, None))]:
                 raise ValueError(
                     f"{spec} has no {' and no '.join(lacking)}: see Entrant in benchmarks/force/entrant.py"
                 )
-            name = spec if spec in ENTRANTS else getattr(make, "name", what)
+            name = spec if spec in ENTRANTS else getattr(make, "name", attribute)
         if name in (*makers, Empty.name):
             raise ValueError(
                 f"two entrants are called {name!r}: give {spec} another name, or leave the other out by --against"
@@ -266,8 +266,9 @@ def measured(
                     ready[name].append(Timed(make(), task, problems))
             except Exception as error:  # other entrants continue
                 del ready[name]
-                known = isinstance(error, ImportError | NotImplementedError)
-                reason = f"{'' if known else f'its setup failed: {type(error).__name__}: '}{error}"
+                reason = str(error)
+                if not isinstance(error, ImportError | NotImplementedError):
+                    reason = f"its setup failed: {type(error).__name__}: {error}"
                 rows.append(key | {"method": name, "reason": reason[:300]})
         _take_turns(ready, effort, lambda text, track=track: tell(f"{track.name}: {text}"))
         for name, timed_sessions in ready.items():
@@ -314,8 +315,8 @@ def _take_turns(ready: dict[str, list[Timed]], effort: Effort, tell: Callable[[s
         for turn in range(effort.rounds):
             for name, timed_sessions in ready.items():
                 tell(f"round {turn + 1} of {effort.rounds}: {name}")
-                taken = sum(timed.passes(1) for timed in timed_sessions)
-                more = int(np.clip(effort.seconds / max(taken, 1e-9), 0, effort.passes - 1))
+                seconds = sum(timed.passes(1) for timed in timed_sessions)
+                more = int(np.clip(effort.seconds / max(seconds, 1e-9), 0, effort.passes - 1))
                 for timed in timed_sessions if more else ():
                     timed.passes(more)
     finally:
@@ -339,12 +340,12 @@ def _scored(session: Session, timed: Timed) -> Iterator[dict[str, Any]]:
         yield row | min(scores, key=lambda s: (s["solved"], s["solved_coarse"], s["proved"]))
 
 
-def _module(where: str) -> Any:
-    if not where.endswith(".py"):
-        return importlib.import_module(where)
-    path = Path(where).resolve()
+def _module(location: str) -> Any:
+    if not location.endswith(".py"):
+        return importlib.import_module(location)
+    path = Path(location).resolve()
     if not path.is_file():
-        raise ValueError(f"there is no file {where}: give FILE.py:CLASS")
+        raise ValueError(f"there is no file {location}: give FILE.py:CLASS")
     spec = importlib.util.spec_from_file_location(f"entrant_{path.stem}", path)
     assert spec is not None
     assert spec.loader is not None
