@@ -1,10 +1,9 @@
 """Inputs of the network: wrench and friction, normalised over two decades of magnitude.
 
-Wrenches are given in the grasp's unit frame (`Grasp.unit_frame`), in which force and moment have
-similar sizes for any origin and size of the object. The optimal force is nearly proportional to the
-wrench, but not near zero: below about `floor` newtons the optimal squeeze at zero wrench dominates.
-So the wrench is divided by m = sqrt(|w|^2 + floor^2), log m is a feature, and the network's output
-is multiplied by m.
+Wrenches are in the grasp's unit frame (`Grasp.unit_frame`), in which force and moment have similar
+sizes. The optimal force is nearly proportional to the wrench, except below about `floor` newtons,
+where the optimal squeeze at zero wrench dominates. So the wrench is divided by m = sqrt(|w|^2 +
+floor^2), log m is a feature, and the network's output is multiplied by m.
 
 Friction cones bound tangential magnitudes, which a perceptron approximates badly from components.
 So the magnitudes of M vectors that are linear in the wrench are features, too; see `surface_pairs`.

@@ -27,18 +27,17 @@ _SOLVED_ON = ("cpu", "meta")
 class GraspForces(NamedTuple):
     """Optimal forces of a batch. `force`, `torsion` and `multipliers` carry gradients.
 
-    An element without an optimum still has a finite force. Except for status 4, this elastic force
-    is strictly inside the friction cones:
+    An element without an optimum has an elastic force, strictly inside the friction cones:
 
     - Status 5, no force within the limits: the force is balanced. It minimises Phi with a quadratic
       penalty on limits that are nearly reached or exceeded.
     - Status 3, 6 and 7, no balanced force was found: the force minimises the same function plus |G
-      f + w|^2 / (2 * 0.01 N^2). Moments are divided by the contacts' spread, which is the root mean
-      square of their distances from their centre.
+      f + w|^2 / (2 * 0.01 N^2). Moments are divided by the contacts' spread, the root mean square
+      of their distances from their centre.
     - Status 4, invalid inputs: the force is zero.
 
-    Elastic forces are solved until their steps are rounding. One that does not get there, with
-    steps above 1e-6 of the force, has the gradient zero.
+    Elastic forces are solved until their steps are rounding. A force whose steps remain above 1e-6
+    of it has a zero gradient.
 
     Attributes:
         force: (..., N, 3) in the frame of the positions [N].
@@ -52,8 +51,7 @@ class GraspForces(NamedTuple):
         residual: (...) largest component of G f + w, with moments divided by the contacts' spread
             [N].
         iterations: (...) int64, accepted Newton steps.
-        feasible: (...) bool, True if the force balances the wrench within cones and limits: status
-            0, 1 or 2.
+        feasible: (...) bool, True if the force is balanced within cones and limits: status 0 to 2.
     """
 
     force: Tensor
@@ -118,10 +116,9 @@ def grasp_force(
         force_weight, barrier_weight: (..., N) omega [-] and lambda [N^2] of Phi.
         start: (..., N, 3) force of an earlier result, used as a warm start if it is near; its
             gradient is zero.
-        infeasible: what to do with elements without an optimum. "mask": return the elastic force
-            (see `GraspForces`) with zero gradient. "elastic": return it with its gradient, which is
-            zero if the force has not converged. "raise": raise an InfeasibleWrenchError that names
-            the elements.
+        infeasible: treatment of elements without an optimum. "mask": return the elastic force (see
+            `GraspForces`) with zero gradient. "elastic": return it with its gradient. "raise":
+            raise an InfeasibleWrenchError that names the elements.
         tolerance: relative certified gap at which the solver stops.
         max_iterations: largest number of Newton steps.
         chunk: number of elements that a thread solves at a time; the results do not depend on it.
@@ -239,8 +236,7 @@ class GraspForceLayer(nn.Module):
 
         Args:
             positions, normals, friction, wrench: see `grasp_force`.
-            others: keyword arguments of `grasp_force` for tensors: tangents, limits, weights,
-                start.
+            others: keyword arguments of `grasp_force` for tensors: tangents, limits, weights, start.
         """
         return grasp_force(
             positions,

@@ -67,7 +67,7 @@ def checked_settings(
 
 
 def tails_of(count: int, rows: int, joints: int) -> tuple[tuple[int, ...], ...]:
-    """Return the trailing dimensions of each input, those of one problem."""
+    """Return the trailing dimensions of each input."""
     n = (count,)
     n3 = (count, 3)
     j = (joints,)
@@ -129,11 +129,8 @@ def checked_tensors(inputs: Sequence[Any]) -> tuple[list[Tensor | None], torch.d
 
 
 def _refuse(name: str, value: Any, expected: str) -> NoReturn:
-    shape = (
-        f" of shape {tuple(value.shape)}"
-        if isinstance(value, Tensor) and value.numel() <= 36
-        else ""
-    )
+    small = isinstance(value, Tensor) and value.numel() <= 36
+    shape = f" of shape {tuple(value.shape)}" if small else ""
     raise InvalidInputError(f"{name} must be {expected}, got {shown(value)}{shape}")
 
 
@@ -149,16 +146,11 @@ def common_device(inputs: Sequence[Any]) -> torch.device:
 
 def common_lead(tensors: Sequence[Tensor | None]) -> torch.Size:
     """Return the common leading dimensions of the tensors, in the order of `NAMES`."""
-    ranks = RANKS.values()
-    leads = [
-        a.shape[: a.ndim - rank] for a, rank in zip(tensors, ranks, strict=False) if a is not None
-    ]
+    pairs = zip(tensors, RANKS.values(), strict=False)
+    leads = [a.shape[: a.ndim - rank] for a, rank in pairs if a is not None]
     try:
         return torch.broadcast_shapes(*leads)
     except RuntimeError:
-        shapes = ", ".join(
-            f"{name} {tuple(a.shape)}"
-            for name, a in zip(NAMES, tensors, strict=False)
-            if a is not None
-        )
+        pairs = zip(NAMES, tensors, strict=False)
+        shapes = ", ".join(f"{name} {tuple(a.shape)}" for name, a in pairs if a is not None)
         raise InvalidInputError(f"leading dimensions must broadcast, got {shapes}") from None

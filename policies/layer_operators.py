@@ -89,7 +89,8 @@ def optima(
     problems: core.ForceProblems, tolerance: float, max_iterations: int, chunk: int
 ) -> Solved:
     """Solve all problems."""
-    arrays = tuple([np.empty((*problems.lead, *tail)) for tail in _result_tails(problems.contacts)])
+    tails = _result_tails(problems.contacts)
+    arrays = tuple([np.empty((*problems.lead, *tail)) for tail in tails])
 
     def work(block: slice) -> None:
         problems.solve((block.start, block.stop), (tolerance, max_iterations), arrays)
@@ -113,12 +114,8 @@ def _differentiate(
 ) -> list[Tensor | None]:
     """Return the needed gradients, with the leading dimensions of the problems."""
     tails = tails_of(problems.contacts, problems.jacobian_rows, problems.joints)
-    arrays = tuple(
-        [
-            np.empty((*problems.lead, *tail)) if w else None
-            for w, tail in zip(needed, tails, strict=False)
-        ]
-    )
+    pairs = zip(needed, tails, strict=False)
+    arrays = tuple([np.empty((*problems.lead, *tail)) if n else None for n, tail in pairs])
     state_array = _array(state.contiguous())
     loss_arrays = tuple([a if a is None else _array(a.contiguous()) for a in losses])
 
@@ -198,13 +195,10 @@ def _in_front(
     args: Sequence[Any], dims: Sequence[Any], ranks: Sequence[int], size: int
 ) -> list[Any]:
     """Move the dimension of `vmap` to the front and pad all tensors to equal leading dimensions."""
-    rank = max(
-        a.ndim - (d is not None) - r
-        for a, d, r in zip(args, dims, ranks, strict=True)
-        if a is not None
-    )
+    triples = list(zip(args, dims, ranks, strict=True))
+    rank = max(a.ndim - (d is not None) - r for a, d, r in triples if a is not None)
     out: list[Any] = []
-    for a, d, r in zip(args, dims, ranks, strict=True):
+    for a, d, r in triples:
         if a is not None:
             a = a.unsqueeze(0).expand(size, *a.shape) if d is None else a.movedim(d, 0)
             a = a.reshape(size, *(1,) * (rank - (a.ndim - 1 - r)), *a.shape[1:])
