@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from hands import grasp_torques
 
-from grasp_env.sim import ObjectDescription, Scene
+from grasp_env.sim import BulletEngine, MujocoEngine, ObjectDescription, Scene
 from grasp_env.sim.config import SceneConfig
+from grasp_env.sim.engine import EngineSettings
 
 SQUEEZE = np.array([1.0, 0.4, 0.3, 0.3])  # normal forces of the reference grasp that balance
 OBJECT = ("shape", "size", "mass", "friction", "inertia", "mesh")
@@ -57,6 +58,14 @@ class Holder:
         for _ in range(round(0.5 / scene.timestep)):
             scene.step(self(scene))
         scene.keep("settled")
+
+
+@pytest.fixture(params=[BulletEngine(), MujocoEngine()], ids=lambda engine: engine.name)
+def engine(request: pytest.FixtureRequest) -> EngineSettings:
+    """Each engine that is installed."""
+    module = {"bullet": "pybullet", "mujoco": "mujoco"}[request.param.name]
+    pytest.importorskip(module, reason="the engine is not installed")
+    return request.param
 
 
 @pytest.fixture
