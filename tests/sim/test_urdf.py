@@ -1,5 +1,4 @@
-"""Hands written as URDF and read again, a user's hand, xacro files, wrong arguments and wrong
-files."""
+"""Hands written as URDF and read again, a user's hand, wrong arguments and wrong files."""
 
 from __future__ import annotations
 
@@ -13,8 +12,7 @@ import numpy as np
 import pytest
 from urdf_text import INERTIAL, hand, joint, link, read, robot, small
 
-from grasp_env.errors import InvalidInputError, MissingExtraError
-from grasp_env.inputs import extras
+from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand.description import HANDS, Fingertip, HandDescription, Mimic
 from grasp_env.sim.hand.frames import Frame, roll_pitch_yaw, rotation_matrix
 from grasp_env.sim.hand.inertia import inertia_matrix, inertia_of
@@ -111,10 +109,8 @@ def test_a_hand_is_placed_where_its_place_or_posture_is_given() -> None:
     assert crooked(rotation=(0.0, 0.0, 1.0)).placed
 
 
-def test_visual_meshes_are_left_out_and_tip_radius_makes_a_tip(tmp_path: Path) -> None:
-    mesh = '<visual><geometry><mesh filename="nowhere.stl"/></geometry></visual>'
-    made, told = read(tmp_path, small(mesh), ["finger"], tip_radius=0.012)
-    assert "visual meshes that are missing are left out: 'nowhere.stl'" in told
+def test_tip_radius_makes_a_tip(tmp_path: Path) -> None:
+    made, _ = read(tmp_path, small(""), ["finger"], tip_radius=0.012)
     assert made.fingertips == (Fingertip("finger", "finger", (0.0, 0.0, 0.0), 0.012),)
     assert [shape.kind for shape in made.links[0].collision + made.links[0].visual] == [
         "sphere",
@@ -165,16 +161,13 @@ def test_all_repairs_are_told_at_once(tmp_path: Path) -> None:
     look = '<visual><geometry><mesh filename="a.glb"/></geometry></visual>'
     (tmp_path / "a.glb").touch()
     text = small(SPHERE + look).replace(INERTIAL, "").replace('effort="2"', 'effort="0"')
-    made, told = read(tmp_path, f'<!-- a licence -->\n<?xml version="1.0"?>{text}')
+    _, told = read(tmp_path, f'<!-- a licence -->\n<?xml version="1.0"?>{text}')
     for repair in (
         "effort 0 of 'bend'",
         "get that of their shapes at 1 g/cm^3: 'finger'",
         "not one of .obj, .stl, .dae are left out: 'a.glb'",
     ):
         assert repair in told
-    volume = 4.0 / 3.0 * np.pi * 0.01**3  # the ball's outline is a little larger
-    assert made.links[0].mass == pytest.approx(1000.0 * volume, rel=0.1)
-    inertia_of(made.links[0].inertia, "finger")
 
 
 def test_links_with_too_little_inertia_get_a_rotor(tmp_path: Path) -> None:
@@ -335,47 +328,3 @@ def test_angles_and_matrices_are_the_same_rotation() -> None:
         matrix = rotation_matrix(tuple(angles))
         np.testing.assert_allclose(matrix @ matrix.T, np.eye(3), atol=1e-15)
         np.testing.assert_allclose(rotation_matrix(roll_pitch_yaw(matrix)), matrix, atol=2e-15)
-
-
-SPACE = "http://www.ros.org/wiki/xacro"
-MACRO = (
-    f'<robot xmlns:xacro="{SPACE}"><xacro:macro name="finger" params="name y"><joint name="${{name}}_joint" type="revolute"><parent link="palm"/>'
-    '<child link="${name}"/><origin xyz="0 ${y} 0"/><axis xyz="0 0 1"/><limit lower="${-pi/4}" upper="${pi/4}" effort="2"/></joint>'
-    f'<link name="${{name}}">{INERTIAL}{SPHERE}</link></xacro:macro></robot>'
-)
-CALLS = f"""<robot name="made" xmlns:xacro="{SPACE}"><xacro:arg name="gap" default="0.04"/>
-<xacro:include filename="$(find parts)/finger.xacro"/><link name="palm"/>
-<xacro:finger name="left" y="$(arg gap)"/><xacro:finger name="right" y="-0.04"/></robot>"""
-
-
-def test_xacro_files_find_packages_and_files(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for name, file, text in (("parts", "finger.xacro", MACRO), ("hand", "hand.urdf.xacro", CALLS)):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "package.xml").write_text(f"<package><name>{name}</name></package>")
-        (tmp_path / name / file).write_text(text)
-    made = HandDescription.from_urdf(tmp_path / "hand" / "hand.urdf.xacro")
-    assert (made.name, made.finger_names) == ("made", ("left", "right"))
-    assert [each.origin[1] for each in made.links] == [0.04, -0.04]
-    assert made.links[0].upper == pytest.approx(math.pi / 4)
-    # the address of the namespace may be another one
-    (tmp_path / "finger.xacro").write_text(MACRO.replace(SPACE, "https://example.org/xacro"))
-    text = CALLS.replace("$(find parts)/", "").replace(SPACE, "https://example.org/xacro")
-    assert read(tmp_path, text, xacro=True)[0].finger_names == ("left", "right")
-    with pytest.raises(
-        InvalidInputError,
-        match="only defines macros, it has no <link>; give the file that calls them",
-    ):
-        HandDescription.from_urdf(tmp_path / "parts" / "finger.xacro")
-    (tmp_path / "parts" / "finger.xacro").unlink()
-    with pytest.raises(
-        InvalidInputError, match=r"xacro cannot expand .*hand\.urdf\.xacro: .*parts"
-    ):
-        HandDescription.from_urdf(tmp_path / "hand" / "hand.urdf.xacro")
-    found = extras.find_spec
-    monkeypatch.setattr(
-        extras, "find_spec", lambda name: None if name == "xacrodoc" else found(name)
-    )
-    with pytest.raises(MissingExtraError, match=r'pip install "grasp-force\[xacro\]"'):
-        HandDescription.from_urdf(tmp_path / "hand" / "hand.urdf.xacro")

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import os
 from pathlib import Path
 from typing import Any
 
 import pytest
-from urdf_text import SMALL_HAND, SPACE, xacro_hand
+from urdf_text import SMALL_HAND, SPACE, joint, link, read, xacro_hand
 
-from grasp_env.errors import InvalidInputError
+from grasp_env.errors import InvalidInputError, MissingExtraError
+from grasp_env.inputs import extras
 from grasp_env.sim import HandDescription
 from grasp_env.sim.hand.files.expansion import _is_inside
 
@@ -56,6 +58,37 @@ def test_files_beside_it_and_in_packages_are_read(
     assert HandDescription.from_file(installed / "urdf" / "hand.xacro") == made
 
 
+def test_macros_are_called_whatever_the_address_of_the_namespace(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ends = ("${-pi/4}", "${pi/4}")
+    finger = joint("${name}_joint", "palm", "${name}", "0 ${y} 0", ends) + link("${name}")
+    macro = f'<xacro:macro name="finger" params="name y">{finger}</xacro:macro>'
+    calls = '<xacro:include filename="finger.xacro"/><link name="palm"/>'
+    calls += '<xacro:finger name="left" y="0.04"/><xacro:finger name="right" y="-0.04"/>'
+    for space in (SPACE, 'xmlns:xacro="https://example.org/xacro"'):
+        (tmp_path / "finger.xacro").write_text(f"<robot {space}>{macro}</robot>")
+        text = f'<robot name="made" {space}>{calls}</robot>'
+        made, _ = read(tmp_path, text, name="hand.xacro")
+        assert (made.name, made.finger_names) == ("made", ("left", "right"))
+        assert [each.origin[1] for each in made.links] == [0.04, -0.04]
+        assert made.links[0].upper == pytest.approx(math.pi / 4)
+    with pytest.raises(
+        InvalidInputError,
+        match="only defines macros, it has no <link>; give the file that calls them",
+    ):
+        HandDescription.from_file(tmp_path / "finger.xacro")
+    (tmp_path / "finger.xacro").unlink()
+    with pytest.raises(InvalidInputError, match=r"xacro cannot expand .*hand\.xacro: .*finger"):
+        HandDescription.from_file(tmp_path / "hand.xacro")
+    found = extras.find_spec
+    monkeypatch.setattr(
+        extras, "find_spec", lambda name: None if name == "xacrodoc" else found(name)
+    )
+    with pytest.raises(MissingExtraError, match=r'pip install "grasp-force\[xacro\]"'):
+        HandDescription.from_file(tmp_path / "hand.xacro")
+
+
 ARGUMENTS = xacro_hand(
     '<xacro:arg name="side"/><xacro:arg name="size" default="1"/>', "$(arg side)_$(arg size)"
 )
@@ -70,8 +103,7 @@ ARGUMENTS = xacro_hand(
     ],
 )
 def test_arguments_are_given(tmp_path: Path, given: dict[str, Any], name: str) -> None:
-    (tmp_path / "hand.xacro").write_text(ARGUMENTS)
-    assert HandDescription.from_file(tmp_path / "hand.xacro", xacro_args=given).name == name
+    assert read(tmp_path, ARGUMENTS, name="hand.xacro", xacro_args=given)[0].name == name
 
 
 @pytest.mark.parametrize(
@@ -93,28 +125,39 @@ def test_arguments_are_given(tmp_path: Path, given: dict[str, Any], name: str) -
     ],
 )
 def test_wrong_arguments_are_named(tmp_path: Path, given: Any, message: str) -> None:
-    (tmp_path / "hand.xacro").write_text(ARGUMENTS)
     with pytest.raises(InvalidInputError, match=message):
-        HandDescription.from_file(tmp_path / "hand.xacro", xacro_args=given)
+        read(tmp_path, ARGUMENTS, name="hand.xacro", xacro_args=given)
 
 
-def test_arguments_of_a_file_that_is_not_expanded(tmp_path: Path) -> None:
-    (tmp_path / "hand.urdf").write_text(SMALL_HAND)
-    with pytest.raises(
-        InvalidInputError,
-        match=r"xacro_args are given, but .* rename it to \.xacro, or pass xacro=True",
-    ):
-        HandDescription.from_file(tmp_path / "hand.urdf", xacro_args={"side": "left"})
-    with pytest.raises(InvalidInputError, match="xacro must be True or False, got 1"):
-        HandDescription.from_file(tmp_path / "hand.urdf", xacro=1)  # type: ignore[arg-type]
-    (tmp_path / "hand.xml").write_text("<mujoco/>")
-    with pytest.raises(
-        InvalidInputError, match="the first element is <mujoco>, xacro expands <robot>"
-    ):
-        HandDescription.from_file(tmp_path / "hand.xml", xacro=True)
-    (tmp_path / "hand.xacro").write_text(xacro_hand())
-    with pytest.raises(InvalidInputError, match="it has xacro elements, but is not expanded"):
-        HandDescription.from_file(tmp_path / "hand.xacro", xacro=False)
+@pytest.mark.parametrize(
+    ("name", "text", "options", "message"),
+    [
+        (
+            "hand.urdf",
+            SMALL_HAND,
+            {"xacro_args": {"side": "left"}},
+            r"xacro_args are given, but .* rename it to \.xacro, or pass xacro=True",
+        ),
+        ("hand.urdf", SMALL_HAND, {"xacro": 1}, "xacro must be True or False, got 1"),
+        (
+            "hand.xml",
+            "<mujoco/>",
+            {"xacro": True},
+            "the first element is <mujoco>, xacro expands <robot>",
+        ),
+        (
+            "hand.xacro",
+            xacro_hand(),
+            {"xacro": False},
+            "it has xacro elements, but is not expanded",
+        ),
+    ],
+)
+def test_options_that_do_not_fit_a_file(
+    tmp_path: Path, name: str, text: str, options: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(InvalidInputError, match=message):
+        read(tmp_path, text, name=name, **options)
 
 
 @pytest.mark.parametrize(
@@ -124,29 +167,26 @@ def test_pointers_among_its_files_are_named(tmp_path: Path, words: str) -> None:
     (tmp_path / "a.xacro").write_text(
         "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 9\n"
     )
-    (tmp_path / "hand.xacro").write_text(xacro_hand(words))
     with pytest.raises(
         InvalidInputError, match=r"the file .*a\.xacro is a Git LFS pointer: run `git lfs pull`"
     ):
-        HandDescription.from_file(tmp_path / "hand.xacro")
+        read(tmp_path, xacro_hand(words), name="hand.xacro")
 
 
 def test_a_version_of_xacro_that_is_not_guarded_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """ROS puts its own version in front."""
-    (tmp_path / "hand.xacro").write_text(xacro_hand())
-    (tmp_path / "ros" / "xacro").mkdir(parents=True)
-    (tmp_path / "ros" / "xacro" / "__init__.py").write_text(
-        "import glob\nparse = load_yaml = None\n"
-    )
-    (tmp_path / "ros" / "xacro" / "substitution_args.py").touch()
+    module = tmp_path / "ros" / "xacro"
+    module.mkdir(parents=True)
+    (module / "__init__.py").write_text("import glob\nparse = load_yaml = None\n")
+    (module / "substitution_args.py").touch()
     monkeypatch.syspath_prepend(str(tmp_path / "ros"))
     with pytest.raises(
         InvalidInputError,
         match=r"ros/xacro/__init__\.py is a version without safe_eval, .*: pip install xacro==2",
     ):
-        HandDescription.from_file(tmp_path / "hand.xacro")
+        read(tmp_path, xacro_hand(), name="hand.xacro")
 
 
 def test_a_file_in_the_folder_of_everything_reads_only_its_neighbours() -> None:
