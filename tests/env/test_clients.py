@@ -53,7 +53,7 @@ def test_checkers(check: Any, settings: dict[str, Any]) -> None:
 SMALL: dict[str, Any] = {"pictures": {"size": (64, 48)}, "duration": 0.1}
 
 
-def test_a_picture_without_a_render_mode_is_a_warning_in_every_state() -> None:
+def test_pictures_without_a_render_mode() -> None:
     env = gym.make(ID, **SMALL)
     bare: Any = env.unwrapped
 
@@ -116,7 +116,7 @@ def test_a_window_is_drawn_at_every_reset_and_step(monkeypatch: pytest.MonkeyPat
     env.close()
 
 
-def test_lists_of_pictures_and_pictures_of_many_environments() -> None:
+def test_lists_of_pictures() -> None:
     env = gym.make(ID, render_mode="rgb_array_list", **SMALL)
     env.reset(seed=0)
     env.step(ZERO)
@@ -175,7 +175,7 @@ def test_an_episode_lasts_as_long_as_its_spec_says(settings: dict[str, Any], ste
         ({"action_mode": "contact_force"}, ""),
     ],
 )
-def test_an_environment_in_which_actions_change_nothing_warns(
+def test_actions_without_effect_are_warned_of(
     settings: dict[str, Any], reason: str, recwarn: pytest.WarningsRecorder
 ) -> None:
     gym.make(ID, **settings).close()

@@ -176,7 +176,7 @@ class Trial:
 
 @needs_bullet
 @pytest.mark.parametrize("finger", [1, 2])
-def test_a_finger_that_slips_off_leaves_the_others_balanced_and_comes_back(finger: int) -> None:
+def test_a_finger_slips_off_and_comes_back(finger: int) -> None:
     trial = Trial((finger,), range(51, 61), 200, duration=4.0)
     others = [k for k in range(4) if k != finger]
     alone = [tick for tick in trial.ticks if tick["fingers"] == others]
@@ -208,7 +208,7 @@ def test_a_finger_that_slips_off_leaves_the_others_balanced_and_comes_back(finge
 
 
 @needs_bullet
-def test_without_force_closure_the_episode_ends_with_that_cause() -> None:
+def test_lost_closure_ends_the_episode() -> None:
     trial = Trial((1, 2, 3), range(51, 251), limits={"max_drift": 10.0, "max_tilt": 3.0})
     last = trial.infos[-1]
     assert (last["failure"], last["is_success"], last["force_closure"]) == (
@@ -227,7 +227,7 @@ def test_without_force_closure_the_episode_ends_with_that_cause() -> None:
 
 
 @needs_bullet
-def test_two_opposite_fingers_hold_until_the_others_are_back() -> None:
+def test_two_opposite_fingers_hold() -> None:
     """The wrench is within their reach: no moment about the line through them. Agent's steps, whose
     flow does not solve it, are no gaps."""
     trial = Trial((2, 3), range(51, 251), limits={"max_drift": 10.0, "max_tilt": 3.0})
@@ -241,7 +241,7 @@ def test_two_opposite_fingers_hold_until_the_others_are_back() -> None:
 
 
 @needs_bullet
-def test_gaps_of_force_closure_are_survived_each_on_its_own() -> None:
+def test_gaps_of_force_closure_are_survived() -> None:
     """Without gravity two fingers are pulled off twice and come back; the gaps together are longer
     than one may be.
 

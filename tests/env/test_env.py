@@ -19,7 +19,7 @@ ZERO = np.zeros(6, dtype=np.float32)
 DOC = FourFingerGrasp.__doc__ or ""
 
 
-def test_observation_table_matches_docstring_and_space() -> None:
+def test_observations_match_the_docstring() -> None:
     rows = [line.strip() for line in DOC.splitlines()]
     env = FourFingerGrasp()
     table = []
@@ -43,7 +43,7 @@ def test_observation_table_matches_docstring_and_space() -> None:
     assert f"({index},)" in DOC
 
 
-def test_observation_and_info_are_the_state_of_the_scene() -> None:
+def test_observations_are_the_state_of_the_scene() -> None:
     """At reset and after some steps; a dict has the same numbers."""
     env = FourFingerGrasp(disturbance="random", observation="dict")
     other = FourFingerGrasp(disturbance="random")
@@ -125,7 +125,7 @@ def iterations(steps: int = 4, action: float = 0.0, **settings: Any) -> list[int
     ]
 
 
-def test_actions_move_the_start_of_every_optimisation_and_not_the_optimum() -> None:
+def test_actions_move_starts_and_not_the_optimum() -> None:
     plain = iterations()
     adjusted = iterations(action=-1.0)
     assert plain == iterations(action=-1.0, agent={"action_scale": 1e-9})
@@ -138,7 +138,7 @@ def test_actions_move_the_start_of_every_optimisation_and_not_the_optimum() -> N
         assert episode(5, method=method)[1][-1]["objective"] == pytest.approx(base, rel=3e-4)
 
 
-def test_without_an_action_mode_actions_are_ignored() -> None:
+def test_actions_may_be_ignored() -> None:
     ignored, zero = (
         episode(3, action_mode="none", action=np.full(1, a, np.float32))[0] for a in (1.0, 0.0)
     )
@@ -165,7 +165,7 @@ def test_contact_forces_as_actions_hold_the_object() -> None:
     np.testing.assert_array_equal(far, edge)  # clipped to the box
 
 
-def test_a_rule_that_breaks_ends_the_episode_without_stale_numbers() -> None:
+def test_broken_rules_end_the_episode() -> None:
     broken = False
     calls = []
 
@@ -193,7 +193,7 @@ def test_a_rule_that_breaks_ends_the_episode_without_stale_numbers() -> None:
     assert iterations(5, initial_force="previous")[-1] <= 1
 
 
-def test_a_constant_wrench_of_the_reset_lasts_one_episode() -> None:
+def test_the_wrench_of_a_reset_lasts_one_episode() -> None:
     wrench = np.array([0.5, 0.2, -0.4, 0.02, 0.03, -0.04])
     env = FourFingerGrasp(disturbance="random")
     env.reset(seed=0, options={"wrench": wrench})
@@ -207,7 +207,7 @@ def test_a_constant_wrench_of_the_reset_lasts_one_episode() -> None:
     env.close()
 
 
-def test_pictures_change_nothing_and_copies_are_equal() -> None:
+def test_pictures_change_nothing() -> None:
     settings: dict[str, Any] = {"disturbance": "random", "randomize": ("mass",)}
     env = FourFingerGrasp(render_mode="rgb_array", **settings)
     rows = [episode(5, **settings)[0]]
@@ -226,7 +226,7 @@ def test_pictures_change_nothing_and_copies_are_equal() -> None:
     np.testing.assert_array_equal(rows[0], rows[2])
 
 
-def test_a_picture_is_in_the_world_frame_and_names_the_end() -> None:
+def test_pictures_are_in_the_world_frame() -> None:
     def push(times: np.ndarray, rng: np.random.Generator, settings: Any) -> np.ndarray:
         return np.where(times[:, None] > 0.5, [300.0, 0.0, 0.0, 0.0, 0.0, 0.0], 0.0)
 

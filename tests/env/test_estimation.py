@@ -95,7 +95,7 @@ def estimates(trial: Trial, time: float = 0.0, noise: float = 0.0) -> np.ndarray
     return np.array(out)
 
 
-def test_a_constant_wrench_is_found_at_once_and_filtered_as_asked() -> None:
+def test_constant_wrenches_are_found_at_once() -> None:
     wrench = np.tile([1.0, 0.5, -0.6, -0.01, 0.02, 0.005], (100, 1))
     trial = hold(wrench, 0)
     raw = estimates(trial)
@@ -108,7 +108,7 @@ def test_a_constant_wrench_is_found_at_once_and_filtered_as_asked() -> None:
     np.testing.assert_allclose(slow[:, 0], 1.0 - np.exp(-np.arange(101) * TICK / 0.05), atol=0.02)
 
 
-def test_a_spinning_body_needs_no_wrench_and_a_payload_is_a_weight() -> None:
+def test_spin_is_no_wrench_and_payload_a_weight() -> None:
     """Without the change of R I R^T omega the gyroscopic moment would be taken for a wrench."""
     quiet = estimates(hold(np.zeros((100, 6)), 0, spin=(6.0, 5.0, 0.0)))
     gyroscopic = np.cross([6.0, 5.0, 0.0], INERTIA @ [6.0, 5.0, 0.0])
@@ -117,7 +117,7 @@ def test_a_spinning_body_needs_no_wrench_and_a_payload_is_a_weight() -> None:
     np.testing.assert_allclose(heavy[150:, :3].mean(axis=0), 0.5 * MASS * GRAVITY, atol=0.03)
 
 
-def test_a_random_wrench_is_found_and_a_filter_trades_noise_for_lag() -> None:
+def test_filters_trade_noise_for_lag() -> None:
     """5 % of the thumb's 6 N and the fingers' 2 N is 0.34 N per axis; the best filter is between
     none and a slow one."""
     wrench = RandomWrench()(TICK * np.arange(500), np.random.default_rng(1), EnvConfig())
@@ -182,7 +182,7 @@ def test_delays(late: int, later: int) -> None:
             np.testing.assert_array_equal(made.arrays()["wrench"], known)  # of a body without mass
 
 
-def test_late_measurements_are_extrapolated_to_the_present() -> None:
+def test_late_measurements_are_extrapolated() -> None:
     """A free object turns and drifts at constant speed, one joint moves slowly; measurements are 20
     ms late."""
     late = 5

@@ -56,7 +56,7 @@ def test_disturbances_are_held_and_motions_followed(settings: dict[str, Any]) ->
     assert np.percentile([info["force_error"] for info in infos], 95) < 0.05
 
 
-def test_a_payload_that_nobody_announced_stretches_the_pose_spring() -> None:
+def test_payloads_stretch_the_pose_spring() -> None:
     infos = whole(0.02, 200, task=Payload())
     assert (infos[0]["object_mass"], infos[-1]["object_mass"]) == (0.2, pytest.approx(0.4))
     assert infos[-1]["drift"] == pytest.approx(9.81 * 0.2 / (0.2 * 30.0**2), rel=0.1)
@@ -80,9 +80,7 @@ def test_a_payload_that_nobody_announced_stretches_the_pose_spring() -> None:
     ],
     ids=["light", "long fingers"],
 )
-def test_hands_of_long_fingers_hold_light_objects_without_creeping(
-    hand: str, settings: dict[str, Any]
-) -> None:
+def test_light_objects_do_not_creep(hand: str, settings: dict[str, Any]) -> None:
     wind = {"name": "random", "force": 0.6, "moment": 0.02}
     last = episode(None, hand=hand, disturbance=wind, duration=2.0, **settings)[1][-1]
     assert last["is_success"]
@@ -100,7 +98,7 @@ def test_controllers_hold(controller: str) -> None:
 
 
 @pytest.mark.parametrize("budget", [0, 3])
-def test_a_budget_limits_iterations_and_the_force_stays_valid(budget: int) -> None:
+def test_budgets_leave_the_force_valid(budget: int) -> None:
     infos = episode(60, seed=2, solver={"max_iterations": budget}, disturbance="random")[1]
     for info in infos:
         assert info["iterations"] <= budget
@@ -110,7 +108,7 @@ def test_a_budget_limits_iterations_and_the_force_stays_valid(budget: int) -> No
     assert infos[-1]["drift"] < 1e-3
 
 
-def test_a_wrench_measured_late_or_not_at_all_moves_the_object() -> None:
+def test_late_wrenches_move_the_object() -> None:
     """The pose spring is m (30 rad/s)^2 = 180 N/m: an unknown 1 N moves it by 5.6 mm, 4 ms late by
     much less."""
     still, late, never = (
@@ -145,7 +143,7 @@ def test_an_estimated_wrench_holds(settings: dict[str, Any]) -> None:
     ],
     ids=str,
 )
-def test_imperfect_sensors_and_motors_hold_and_are_drawn(settings: dict[str, Any]) -> None:
+def test_imperfect_sensors_and_motors_hold(settings: dict[str, Any]) -> None:
     first, infos = episode(40, **settings)
     assert infos[-1]["is_success"]
     exact = {name: value for name, value in settings.items() if name == "sensors.wrench"}

@@ -75,9 +75,7 @@ def shake(scene: Scene, seed: int, steps: int) -> None:
 
 
 @pytest.mark.parametrize("settings", OBJECTS, ids=str)
-def test_contact_forces_carry_the_weight_at_every_reset(
-    tmp_path: Path, settings: dict[str, Any]
-) -> None:
+def test_forces_carry_the_weight_at_every_reset(tmp_path: Path, settings: dict[str, Any]) -> None:
     env = make(tmp_path, **settings)
     mass = settings.get("mass", 0.2)
     first = start(env, mass)
@@ -141,9 +139,7 @@ class Scripted:
         (take_over, 4, "linear"),
     ],
 )
-def test_closing_and_taking_over_end_after_quiet_ticks_in_a_row(
-    settle: Any, ticks: int, disturbs: str
-) -> None:
+def test_closing_ends_after_quiet_ticks_in_a_row(settle: Any, ticks: int, disturbs: str) -> None:
     few = [True] * (ticks - 1)
     scene: Any = Scripted([*few, False, *few, False, True, False, *few, True, True, True], disturbs)
     settle(scene, scene.loop)

@@ -40,7 +40,7 @@ def rewards(draw: st.DrawFn) -> RewardSettings:
     change=share,
     gamma=st.floats(0.0, 1.0, exclude_min=True),
 )
-def test_holding_one_step_longer_pays_more_than_letting_go_now(
+def test_holding_on_pays_more_than_letting_go(
     reward: RewardSettings,
     iterations: float,
     force: float,
@@ -69,7 +69,7 @@ def test_holding_one_step_longer_pays_more_than_letting_go_now(
     ],
     ids=str,
 )
-def test_terms_are_recomputed_from_observation_and_info(settings: dict[str, Any]) -> None:
+def test_terms_are_recomputed(settings: dict[str, Any]) -> None:
     """At one control tick per step."""
     env = FourFingerGrasp(
         disturbance="random", limits={"max_drift": 10.0}, **{"agent.rate": 250}, **settings
@@ -109,7 +109,7 @@ def test_terms_are_recomputed_from_observation_and_info(settings: dict[str, Any]
     env.close()
 
 
-def test_without_force_closure_the_whole_cost_of_iterations_and_force_is_due() -> None:
+def test_lost_closure_costs_the_most() -> None:
     env = FourFingerGrasp(limits={"max_drift": 10.0, "max_tilt": 10.0, "max_contact_gap": 10.0})
     env.reset(seed=0, options={"wrench": [0.0, 0.0, 0.0, 0.0, 0.0, 3.0]})
     for _ in range(50):

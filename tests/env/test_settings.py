@@ -24,7 +24,7 @@ from grasp_env.task.tasks import TASKS
 ZERO = np.zeros(6, dtype=np.float32)
 
 
-def test_every_setting_has_one_description_and_accepts_its_default() -> None:
+def test_settings_are_described_once() -> None:
     records = {
         EnvConfig,
         *(kind for _, kind, _ in described(EnvConfig)),
@@ -51,7 +51,7 @@ def test_every_setting_has_one_description_and_accepts_its_default() -> None:
     assert not set(KEYWORDS.values()) - set(all_settings())
 
 
-def test_records_dicts_keywords_paths_and_json_give_the_same() -> None:
+def test_all_ways_give_the_same_settings() -> None:
     wanted = EnvConfig(
         object=ObjectDescription("sphere", (0.08,), mass=0.15),
         disturbance=Impulses(force=2.0),
@@ -130,7 +130,7 @@ def test_json_keeps_everything(monkeypatch: pytest.MonkeyPatch) -> None:
     assert as_config(told).disturbance == Wind(force=1.0)
 
 
-def test_what_is_drawn_depends_on_the_seed_and_reaches_the_episode() -> None:
+def test_what_is_drawn_reaches_the_episode() -> None:
     ranges: dict[str, Any] = {
         "mass": lambda rng: 0.1 + 0.1 * rng.random(),
         "friction": (0.4, 0.6),
@@ -189,7 +189,7 @@ def test_what_is_drawn_depends_on_the_seed_and_reaches_the_episode() -> None:
     assert usual == random_object(np.random.default_rng(7))
 
 
-def test_what_is_kept_of_the_object_does_not_change_what_is_drawn() -> None:
+def test_what_is_kept_does_not_change_what_is_drawn() -> None:
     base = ObjectDescription("cylinder", (0.08, 0.1), inertia=(2e-4, 2e-4, 2e-4))
 
     def drawn(*names: str) -> EnvConfig:
@@ -206,7 +206,7 @@ def test_what_is_kept_of_the_object_does_not_change_what_is_drawn() -> None:
     assert drawn("shape").object.shape != drawn("size").object.shape == "cylinder"
 
 
-def test_motors_deliver_a_part_of_what_is_commanded_and_never_more_than_their_limit() -> None:
+def test_motors_deliver_a_part_of_the_command() -> None:
     """The hold takes 0.4 N m of 12, so motors that deliver 40 times the command are cut."""
     largest = []
     for strength in (0.9, 40.0):

@@ -123,7 +123,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
 @pytest.mark.filterwarnings("error")
 @pytest.mark.filterwarnings("ignore::grasp_env.errors.GraspWarning")
 @pytest.mark.parametrize("name", SETTINGS)
-def test_the_json_of_a_specification_makes_the_same_environment(name: str) -> None:
+def test_json_makes_the_same_environment(name: str) -> None:
     env = gym.make(ID, **SETTINGS[name])
     bare: Any = env.unwrapped
     assert env.spec is not None
@@ -159,7 +159,7 @@ def test_settings_of_the_engine_and_a_mesh_survive_json(tmp_path: Path) -> None:
         assert rows(made) == rows(env)
 
 
-def test_many_environments_and_lists_of_pictures_have_json() -> None:
+def test_many_environments_have_json() -> None:
     given: dict[str, Any] = {
         "disturbance": RandomWrench(force=0.3),
         "hand": FOUR.moved((0.0, 0.001, 0.0)),
@@ -184,7 +184,7 @@ def test_many_environments_and_lists_of_pictures_have_json() -> None:
     assert made.spec == env.spec
 
 
-def test_the_length_of_an_episode_can_be_changed_in_a_specification() -> None:
+def test_lengths_of_episodes_can_be_changed() -> None:
     """`gym.make` completes the environment of a specification, too."""
     env = gym.make(ID, disturbance="none")
     for spec in (env.spec, restored(env.spec)):
@@ -252,9 +252,7 @@ WITHOUT: list[tuple[dict[str, Any], str]] = [
 
 
 @pytest.mark.parametrize(("given", "message"), WITHOUT, ids=range(len(WITHOUT)))
-def test_what_has_no_json_is_named_and_stays_in_the_specification(
-    given: dict[str, Any], message: str
-) -> None:
+def test_what_has_no_json_is_named(given: dict[str, Any], message: str) -> None:
     env = gym.make(ID, object=ObjectDescription("sphere"), **given)
     assert env.spec is not None
     with pytest.raises(TypeError, match=message):

@@ -38,7 +38,7 @@ def careless(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     placing._placed.cache_clear()
 
 
-def test_the_structure_of_a_finger_carries_what_takes_no_torque() -> None:
+def test_structure_carries_what_takes_no_torque() -> None:
     """The direction in which two motors cannot push, found from their Jacobian alone, and forces
     that are optimised one by one."""
     scene = Scene(SceneConfig())
@@ -75,7 +75,7 @@ def test_the_structure_of_a_finger_carries_what_takes_no_torque() -> None:
 
 
 @pytest.mark.usefixtures("careless")
-def test_a_reset_reports_what_structure_carries_once() -> None:
+def test_structure_is_reported_once() -> None:
     """Three fingers in planes press a ball through their structure; four do with less."""
     env = FourFingerGrasp(hand=gripper(3, 2), **BALL)
     with pytest.warns(

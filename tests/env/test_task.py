@@ -36,7 +36,7 @@ def arrays(made: Plan) -> tuple[np.ndarray, ...]:
 
 
 @pytest.mark.parametrize("settings", KINDS, ids=str)
-def test_a_seed_gives_the_same_plan_in_a_longer_episode(settings: dict[str, Any]) -> None:
+def test_longer_episodes_have_the_same_plan(settings: dict[str, Any]) -> None:
     made = plan(**settings)
     again = plan(**settings)
     other = plan(seed=1, **settings)
@@ -61,7 +61,7 @@ def test_a_seed_gives_the_same_plan_in_a_longer_episode(settings: dict[str, Any]
     assert len({generator.random() for generator in generators}) == 1
 
 
-def test_payload_changes_the_mass_within_a_tenth_of_a_second() -> None:
+def test_payload_changes_the_mass_smoothly() -> None:
     factor = plan(task=Payload(0.5, 1.2)).mass_factor
     t = np.arange(1001) / 250.0
     assert (factor[t <= 1.2] == 1.0).all()
@@ -111,7 +111,7 @@ def difference(values: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("motion", m.MOTIONS)
 @pytest.mark.parametrize("period", [0.7, 1.5, 9.0])
-def test_a_motion_has_exact_derivatives_and_ends_at_rest(motion: str, period: float) -> None:
+def test_motions_have_exact_derivatives(motion: str, period: float) -> None:
     target = m.motion_target(motion, TIMES, 0.3, period)
     # central differences miss by STEP^2 / 6 of the next derivative but one, and by STEP / 2 of the
     # next where that jumps
@@ -130,7 +130,7 @@ def test_a_motion_has_exact_derivatives_and_ends_at_rest(motion: str, period: fl
         np.testing.assert_allclose(target[[0, -1]], m.resting_target(2), atol=1e-12)
 
 
-def test_a_motion_reaches_its_size_along_its_axis_and_rests_after_the_last_whole_period() -> None:
+def test_motions_reach_their_size_and_rest() -> None:
     peak = {motion: np.abs(m.motion_target(motion, TIMES, 0.2, 1.0)) for motion in m.MOTIONS}
     assert peak["lift"][:, 1].max() == pytest.approx(0.2)
     assert peak["shake"][:, 0].max() == pytest.approx(0.2, rel=1e-6)

@@ -149,7 +149,7 @@ def test_an_agents_step_is_a_call_of_the_optimizer(method: str, initial: str | N
         assert (loop.core.effort.followed, loop.core.effort.limited) == (0, 0)
 
 
-def test_between_two_steps_the_command_is_the_optimum() -> None:
+def test_between_steps_commands_are_optima() -> None:
     """For moving contacts and any touching fingers, Newton from the last command ends at the
     current optimum, also after lost closure."""
     loop = Loop()
@@ -178,7 +178,7 @@ def test_between_two_steps_the_command_is_the_optimum() -> None:
 
 
 @pytest.mark.parametrize("due", [True, False])
-def test_forces_change_by_no_more_than_the_settings_allow(due: bool) -> None:
+def test_changes_of_forces_are_bounded(due: bool) -> None:
     """From 5 N at each finger to the optimum, on contacts that stay: balance requires no change, so
     the bound is that of the force."""
     most = 0.05
@@ -203,7 +203,7 @@ def test_forces_change_by_no_more_than_the_settings_allow(due: bool) -> None:
     assert ticks == np.ceil(way / most)
 
 
-def test_the_rate_of_the_internal_force_is_a_change_in_every_tick() -> None:
+def test_the_rate_is_a_change_in_every_tick() -> None:
     """A second of ticks of the largest change is the rate [N/s]."""
     config = EnvConfig().override(agent={"rate": 25}, controller={"rate": 125, "force_rate": 30.0})
     settings = control_settings(
@@ -212,7 +212,7 @@ def test_the_rate_of_the_internal_force_is_a_change_in_every_tick() -> None:
     assert sum([settings.most_change] * 125) == pytest.approx(30.0)
 
 
-def test_the_overlap_of_fingertips_and_object_is_the_deepest_of_the_episode() -> None:
+def test_the_deepest_overlap_counts() -> None:
     """A gap is negative where a tip is inside the object; distance from it does not count."""
     loop = Loop()
     told = []
@@ -232,7 +232,7 @@ def test_the_overlap_of_fingertips_and_object_is_the_deepest_of_the_episode() ->
     assert loop.core.outcome(TARGET, np.empty(12), np.empty((4, 3))).overlap == 0.0
 
 
-def test_an_adjustment_is_added_to_the_start_and_repaired() -> None:
+def test_adjustments_are_added_and_repaired() -> None:
     """The start is the force of least Phi between the method's own and the adjusted one, balanced."""
     loop = Loop(method="newton", initial="linear_combination", max_iterations=0)
     basis = reference_basis(GRASP)
@@ -263,7 +263,7 @@ def test_an_adjustment_is_added_to_the_start_and_repaired() -> None:
 
 @pytest.mark.parametrize("grasp", [GRASP, SOFT], ids=["hard", "soft"])
 @pytest.mark.parametrize("due", [True, False])
-def test_what_the_motors_cannot_make_is_found_within_their_limits(due: bool, grasp: Grasp) -> None:
+def test_forces_are_found_within_the_limits(due: bool, grasp: Grasp) -> None:
     """Torques, of torsion too, of the optimum where these are within the limits, else of Newton
     within them, else of the least excess."""
     soft = grasp is SOFT
@@ -352,7 +352,7 @@ def test_lost_closure_is_the_elastic_answer(touching: tuple[int, ...]) -> None:
 
 
 @pytest.mark.parametrize("fingers", [(1, 1, 1, 1), (1, 1, 1, 0)])
-def test_a_squeeze_is_an_internal_force_and_the_least_change_that_balances(
+def test_squeezes_are_internal_and_balanced(
     fingers: tuple[int, ...],
 ) -> None:
     """20 N of the planned contacts' internal force, turned with the frames."""

@@ -82,7 +82,7 @@ def vector_rows(kind: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("kind", ["sync", "async fork", "async spawn", "sb3", "sb3 fork"])
-def test_vector_environments_agree_with_single_ones(kind: str) -> None:
+def test_vectors_agree_with_single_ones(kind: str) -> None:
     rows = vector_rows(kind)
     for place, seed in enumerate((3, 4)):
         env = gym.make(ENV, **NOISY)

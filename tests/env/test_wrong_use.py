@@ -148,7 +148,7 @@ def test_wrong_input_is_named(call: str, given: dict[str, Any], message: str) ->
         ("mas", "got an unexpected keyword argument 'mas': did you mean 'mass'"),
     ],
 )
-def test_an_unknown_keyword_names_the_likely_setting(name: str, meant: str) -> None:
+def test_unknown_keywords_name_the_likely_one(name: str, meant: str) -> None:
     for call in (
         EnvConfig().override,
         lambda **given: gym.make("grasp_env:FourFingerGrasp-v0", **given),
@@ -208,7 +208,7 @@ def test_what_cannot_be_held_or_shown_opens_nothing(
     assert connections() == before
 
 
-def test_wrong_calls_change_nothing_and_a_closed_environment_opens_again() -> None:
+def test_wrong_calls_change_nothing() -> None:
     before = connections()
     env = FourFingerGrasp(disturbance="random", duration=0.1)
     rows = []
@@ -257,7 +257,7 @@ FAR = {"max_drift": 1e9, "max_tilt": 10.0, "max_contact_gap": 1e9}
         *((FAR, [push, push, 0, 0, 0, push], ("simulation_diverged",)) for push in (1e5, 1e12)),
     ],
 )
-def test_a_lost_object_ends_the_episode_with_its_cause(
+def test_a_lost_object_ends_the_episode(
     limits: Any, wrench: list[float], failures: tuple[str, ...]
 ) -> None:
     env = FourFingerGrasp(limits=limits)
@@ -281,7 +281,7 @@ def test_a_lost_object_ends_the_episode_with_its_cause(
     env.close()
 
 
-def test_a_reset_gives_up_on_objects_that_cannot_be_held() -> None:
+def test_a_reset_gives_up() -> None:
     env = FourFingerGrasp(randomize={"mass": (60.0, 90.0), "friction": (0.011, 0.012)})
     with pytest.raises(SimulationError, match="random objects could be held"):
         env.reset(seed=0)

@@ -41,7 +41,7 @@ def found(tmp_path_factory) -> SimpleNamespace:
     return SimpleNamespace(rows=rows, summary=summary(rows))
 
 
-def test_iterations_are_those_of_the_optimizer_with_these_weights(found):
+def test_iterations_are_those_of_the_optimizer(found):
     loads = sample_ball(np.random.default_rng([0, 101]), 20)
     weights = chosen(found.rows, "case == 'weights'")
     assert len(weights) == 4 * 8 * 20
@@ -81,7 +81,7 @@ def test_iterations_are_those_of_the_optimizer_with_these_weights(found):
         )
 
 
-def test_rates_are_the_predicted_ones_and_operations_are_counted(found):
+def test_rates_are_the_predicted_ones(found):
     rates = chosen(found.rows, "case == 'rates'").set_index("rule")
     fixed = rates.loc["fixed"]
     exact = rates.loc["exact"]
@@ -96,7 +96,7 @@ def test_rates_are_the_predicted_ones_and_operations_are_counted(found):
     ]
 
 
-def test_a_repetition_is_timed_without_the_overhead_of_the_call(monkeypatch):
+def test_repetitions_are_timed_without_overhead(monkeypatch):
     now = [0]
     monkeypatch.setattr(experiments.time, "perf_counter_ns", lambda: now[0])
     assert (
@@ -105,7 +105,7 @@ def test_a_repetition_is_timed_without_the_overhead_of_the_call(monkeypatch):
     )
 
 
-def test_path_rows_are_differences_of_forces_over_time(found):
+def test_path_rows_are_differences(found):
     grasp = presets.preset("five_finger_cuboid")
     loads = paper_path(np.array([0.2, 0.25, 0.3]))
     conic = ForceOptimizer(grasp, method="conic")
@@ -129,7 +129,7 @@ def test_path_rows_are_differences_of_forces_over_time(found):
     assert paths.xs("conic", level="method")["force_excess_max"].eq(0.0).all()
 
 
-def test_table_one_balances_the_wrench_beside_the_printed_numbers(found):
+def test_table_one_balances_the_wrench(found):
     rows = chosen(found.rows, "case in ('table_one', 'table_one_paper')")
     wide = rows.pivot(index=["case", "start"], columns="contact", values="contact_force")
     balance = wide[0] - wide[1] - wide[2] - wide[3]
@@ -196,7 +196,7 @@ def test_no_vertex_of_the_linear_program_is_better(name, facets):
         assert grasp.cone_margin(force) > -1e-9
 
 
-def test_pyramids_cost_more_than_cones_and_their_forces_jump():
+def test_forces_of_pyramids_jump():
     costs = [pyramid_forces(GRASP, PAPER_WRENCH, n)[:, 0].sum() for n in (4, 8, 16, 32, 256)]
     assert costs == sorted(costs, reverse=True)
     assert costs[-1] == pytest.approx(CONIC_LEAST, rel=1e-4)

@@ -148,7 +148,7 @@ CLOSED = {
 
 
 @pytest.mark.parametrize("name", ["", *COMMANDS])
-def test_help_lists_choices_and_fits_eighty_columns(name, monkeypatch, capsys):
+def test_help_fits_eighty_columns(name, monkeypatch, capsys):
     monkeypatch.setenv("COLUMNS", "80")
     text = page(f"{name} --help", capsys)
     assert [line for line in text.splitlines() if len(line) > 80 and "{" not in line] == []
@@ -191,7 +191,7 @@ def test_own_contacts_are_solved_with_advice(tmp_path, capsys, monkeypatch):
             assert any(text in advice for advice in found["advice"])
 
 
-def test_the_script_is_the_module_and_a_closed_pipe_is_no_error():
+def test_a_closed_pipe_is_no_error():
     command = f"{sys.executable} -m training --version; {sys.executable} -m training solve --json | true; exit ${{PIPESTATUS[0]}}"
     done = subprocess.run(
         ["bash", "-c", command], cwd=ROOT, capture_output=True, text=True, timeout=120

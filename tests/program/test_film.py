@@ -65,7 +65,7 @@ def _registered() -> Any:
 @pytest.mark.parametrize(
     "suffix", [pytest.param(".mp4", marks=with_video), ".gif", ".webp", ".png"]
 )
-def test_every_second_step_is_a_frame_and_a_stopped_film_leaves_an_older_one(tmp_path, suffix):
+def test_every_second_step_is_a_frame(tmp_path, suffix):
     out = tmp_path / f"out{suffix}"
     out.write_text("older")
     with pytest.raises(KeyboardInterrupt):
@@ -101,7 +101,7 @@ def test_every_second_step_is_a_frame_and_a_stopped_film_leaves_an_older_one(tmp
 
 
 @with_video
-def test_a_film_that_ffmpeg_does_not_finish_leaves_an_older_one(tmp_path, monkeypatch):
+def test_unfinished_films_leave_older_ones(tmp_path, monkeypatch):
     """On a full disk ffmpeg writes no index, and imageio says nothing."""
     import imageio_ffmpeg
 
@@ -191,7 +191,7 @@ def test_a_film_shows_the_settings_and_the_outcome(tmp_path, capsys):
             record(tmp_path / name, seconds=seconds, env_id=ENV)
 
 
-def test_long_names_and_notes_leave_room_for_numbers():
+def test_long_names_leave_room_for_numbers():
     for name in ("episodes: six_directions/constant_squeeze/00000", "x" * 300):
         out = io.StringIO()
         console = Console(

@@ -76,7 +76,7 @@ def test_arguments_of_a_xacro_file_are_given(tmp_path, capsys):
         assert message in capsys.readouterr().err
 
 
-def test_a_preset_is_printed_and_errors_are_one_line(capsys):
+def test_errors_are_one_line(capsys):
     assert main(["hand", "leap"]) == 0
     assert "0.95 N m" in capsys.readouterr().out
     for words, message in {

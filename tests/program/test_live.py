@@ -150,7 +150,7 @@ def test_a_screw_is_drawn_about_its_axis():
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_contacts_lie_on_the_object_under_the_mouse(shape):
+def test_contacts_lie_under_the_mouse(shape):
     rng = np.random.default_rng(1)
     mesh = look.object_mesh(shape, (0.1,) * 3)
     surface = ObjectDescription(shape).surface
@@ -199,7 +199,7 @@ def test_the_controls_set_the_problem(bare):
         control.value = before
 
 
-def test_forces_and_cones_are_drawn_to_scale_and_errors_become_words(bare):
+def test_forces_and_cones_are_drawn_to_scale(bare):
     tails, heads = np.swapaxes(node(bare, "/contacts/forces").points, 0, 1)
     np.testing.assert_allclose(heads, 10.0 * GRASP.positions, atol=1e-6)  # they push from outside
     forces = GRASP.to_object_frame(bare.answer.solution.force)
@@ -219,7 +219,7 @@ def test_forces_and_cones_are_drawn_to_scale_and_errors_become_words(bare):
     assert "INTO the object" in panel(bare)
 
 
-def test_the_mouse_drags_the_load_and_a_contact_until_nothing_holds(bare):
+def test_the_mouse_drags_load_and_contact(bare):
     for k, (control, load) in enumerate(((bare.force, LOAD[:3]), (bare.moment, LOAD[3:]))):
         head = np.array(node(bare, f"/load/{k}").position)
         away = np.array([0.2, 0.1, -0.3])
@@ -298,7 +298,7 @@ def recorded(path: Path) -> dict[str, Any]:
     return msgspec.msgpack.decode(whole[8 : 8 + int.from_bytes(whole[:8], "little")])
 
 
-def test_the_command_shows_a_urdf_and_saves_its_recording_at_ctrl_c(tmp_path):
+def test_recordings_are_saved_at_ctrl_c(tmp_path):
     assert all(all(look.link_meshes(make().links)) for make in HANDS.values())
     path = tmp_path / "mine.urdf"
     record = tmp_path / "live.html"
@@ -341,7 +341,7 @@ def test_a_long_recording_ends_and_is_saved(bare, tmp_path, monkeypatch, capsys)
     assert recorded(tmp_path / "long.html")["messages"]
 
 
-def test_a_recording_that_cannot_be_saved_does_not_end_the_page(bare, tmp_path):
+def test_a_recording_that_cannot_be_saved(bare, tmp_path):
     bare._button, bare._note = SimpleNamespace(label=""), SimpleNamespace(content="")
     bare._record(tmp_path / "gone" / "live.html")
     bare._press()
@@ -358,7 +358,7 @@ def pushes(hand: SimulatedHand) -> np.ndarray:
     )
 
 
-def test_the_controls_change_hand_and_object_while_it_holds(hand, monkeypatch):
+def test_controls_change_hand_and_object(hand, monkeypatch):
     margin, stage = hand.loop.effort.margin, hand.stage
     hand.mass.value = 0.4
     hand.draw()
@@ -383,7 +383,7 @@ def test_the_controls_change_hand_and_object_while_it_holds(hand, monkeypatch):
     assert 0.0 < hand.loop.effort.margin < 0.11 * margin
 
 
-def test_the_mouse_pulls_the_object_until_it_is_lost(hand):
+def test_the_mouse_pulls_the_object(hand):
     drag(hand, "/object/body", (0.5, 0.0, 0.0), (0.5, 0.1, 0.0))
     # in metres: it is drawn ten times as large
     np.testing.assert_allclose(hand.grip, [0.05, 0.0, 0.0], atol=1e-4)

@@ -44,7 +44,7 @@ def on_screen(tab: Browser, page: BareContacts, point: Any) -> np.ndarray:
 
 
 @pytest.mark.skipif(EXECUTABLE is None, reason="no Chromium is installed")
-def test_contacts_follow_the_mouse_until_nothing_holds(tmp_path):
+def test_contacts_follow_the_mouse(tmp_path):
     page = BareContacts(0, presets.paper_cuboid(), LOAD, "newton", rule)
     own = f"http://127.0.0.1:{page.server.get_port()}/"
     with browser(EXECUTABLE or "", local=True) as tab:

@@ -75,7 +75,7 @@ def states(simulator: Bullet) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("mass", "count", "heavy_end"), [(0.02, 3, 0.0), (0.002, 2, 1e-4)])
-def test_coupled_joints_hold_and_their_load_reaches_the_motor(
+def test_the_load_of_coupled_joints_reaches_motors(
     mass: float, count: int, heavy_end: float
 ) -> None:
     """By virtual work the motor needs 1 + 1.3, or 1 + 1.3 + 0.7, times the 0.5 N m on the last
@@ -126,7 +126,7 @@ def test_hulls_lie_where_they_should() -> None:
     cube.close()
 
 
-def test_links_that_always_overlap_do_not_push_each_other_apart() -> None:
+def test_overlapping_links_do_not_push() -> None:
     """Two fingers with overlapping first links do not move without torque."""
     shapes = Geometry("sphere", (0.01,)), Geometry("sphere", (0.005,), (0.0, 0.1, 0.0))
     places = {"a": (-0.004, 0.0, 0.2), "b": (0.004, 0.0, 0.2)}

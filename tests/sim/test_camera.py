@@ -53,7 +53,7 @@ def one_finger(**fields: Any) -> Annotation:
 
 
 @needs_bullet
-def test_project_is_that_of_opengl_and_unproject_its_inverse() -> None:
+def test_project_is_that_of_opengl() -> None:
     points = np.random.default_rng(0).uniform(-0.1, 0.1, (30, 3))
     matrices = (
         bullet.computeProjectionMatrixFOV(VIEW.field_of_view, 160 / 120, NEAR_PLANE, FAR_PLANE),
@@ -74,7 +74,7 @@ def test_project_is_that_of_opengl_and_unproject_its_inverse() -> None:
 
 
 @pytest.mark.parametrize("size", [(160, 120), (120, 160)])
-def test_fitted_leaves_the_margins_free_and_no_more(size: tuple[int, int]) -> None:
+def test_fitted_leaves_the_margins_free(size: tuple[int, int]) -> None:
     points = np.random.default_rng(1).uniform(-0.1, 0.1, (200, 3))
     view = dataclasses.replace(VIEW, width=size[0], height=size[1]).fitted(points, 0.1, 0.2)
     part = view.project(points) / size
@@ -85,7 +85,7 @@ def test_fitted_leaves_the_margins_free_and_no_more(size: tuple[int, int]) -> No
     np.testing.assert_allclose(view.axes, VIEW.axes, atol=1e-12)
 
 
-def test_a_picture_shows_the_object_in_its_place_and_what_is_behind_it(scene: Scene) -> None:
+def test_pictures_show_what_is_behind_the_object(scene: Scene) -> None:
     camera = Camera(scene, CameraConfig(width=240, height=240, object_opacity=1.0))
     opaque = camera.capture().astype(int)
     with camera.painter.object_hidden():
@@ -136,7 +136,7 @@ def test_hidden_contacts_are_counted(scene: Scene) -> None:
     assert camera.view.axes[2] @ DIRECTION / np.linalg.norm(DIRECTION) == pytest.approx(1.0)
 
 
-def test_pictures_are_deterministic_and_leave_the_scene_alone(scene: Scene) -> None:
+def test_pictures_leave_the_scene_alone(scene: Scene) -> None:
     state = numbers(scene)
     camera = Camera(scene, CameraConfig(width=120, height=100))
     note = one_finger(lines=[("iterations", "12")])
@@ -292,7 +292,7 @@ def test_text_has_its_place_beside_hand_and_arrows(scene: Scene, size: tuple[int
 
 
 @pytest.mark.parametrize(("angle", "most"), [(0.02, 0.85), (0.7, 0.6), (1.5, 0.4)])
-def test_smooth_edges_come_nearer_to_the_true_coverage(angle: float, most: float) -> None:
+def test_smooth_edges_are_nearer_to_the_truth(angle: float, most: float) -> None:
     def half_plane(factor: int) -> np.ndarray:
         x = (np.arange(64 * factor) + 0.5) / factor - 32.0
         inside = np.cos(angle) * x[None, :] + np.sin(angle) * x[:, None] > 0.3
@@ -316,7 +316,7 @@ def test_lines_end_at_contacts() -> None:
     np.testing.assert_allclose(*lines_of(one_finger(active=[False]))[0][:2])
 
 
-def test_a_portrait_is_upright_and_shows_tips_and_posture() -> None:
+def test_portraits_are_upright() -> None:
     hand = HANDS["four_finger"]()  # its palm is above the object
     picture = portrait(hand, 96).astype(int)
     assert picture.shape == (96, 192, 3)

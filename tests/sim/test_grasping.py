@@ -250,7 +250,7 @@ def ranged(hand: HandDescription, lower: float, upper: float) -> HandDescription
     )
 
 
-def test_joints_with_ranges_wider_than_fingers_have() -> None:
+def test_joints_with_wide_ranges() -> None:
     """Nearly all postures are folded: three joints of each finger turn by up to a turn."""
     check(place_hand(ranged(gripper(3, 3), -np.pi, np.pi), BALL), BALL)
 
@@ -288,7 +288,7 @@ def test_directions_of_approach() -> None:
     assert abs(Approach("side").draw(rng)[1]) == 0.0
 
 
-def test_a_finger_that_does_not_touch_makes_a_grasp_worse() -> None:
+def test_idle_fingers_make_a_grasp_worse() -> None:
     hand = HANDS["four_finger"]()
     more = replace(hand.fingertips[0], name="idle", link=hand.links[0].name)
     idle = replace(hand, fingertips=(*hand.fingertips, more))

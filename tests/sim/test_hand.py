@@ -49,7 +49,7 @@ def test_real_hands_have_their_published_measures(name: str, tip: tuple[float, .
     assert 0.45 < sum(link.mass for link in hand.links) < 0.65
 
 
-def test_links_of_fingers_have_the_inertia_of_solid_rods() -> None:
+def test_links_have_the_inertia_of_rods() -> None:
     """Compare with numerical integrals along the rods; the tip is a solid ball."""
     finger = FingerDescription("f", (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
     grid = np.linspace(0.0, 1.0, 501)
@@ -69,7 +69,7 @@ def test_links_of_fingers_have_the_inertia_of_solid_rods() -> None:
 
 
 @pytest.mark.parametrize("name", FRONT)
-def test_built_in_hands_reach_around_cuboids_without_touching_themselves(name: str) -> None:
+def test_hands_do_not_touch_themselves(name: str) -> None:
     """The postures are far from the joint limits."""
     kinematics = HandKinematics(HANDS[name]())
     limbs = core.HandLimbs.make(kinematics.tree, hand_limbs(kinematics.hand), kinematics.home)

@@ -116,7 +116,7 @@ def test_looks_that_cannot_be_drawn_are_left_out(
     ],
     ids=["bent", "ring"],
 )
-def test_a_mesh_that_is_not_convex_falls_into_pieces(shape: trimesh.Trimesh, counts: Any) -> None:
+def test_hollow_meshes_fall_into_pieces(shape: trimesh.Trimesh, counts: Any) -> None:
     """The pieces contain all of the mesh, and a hole stays open."""
     found = convex_pieces(np.array(shape.vertices), np.array(shape.faces))
     assert len(found) in counts
@@ -209,7 +209,7 @@ def test_a_tip_is_the_ball_in_the_end_of_its_link(
             assert outline(shape)[:, 2].max() < tip.center[2] - tip.radius + 1e-4
 
 
-def test_tips_are_given_by_place_and_on_links_of_all_kinds(tmp_path: Path) -> None:
+def test_tips_are_given_by_place(tmp_path: Path) -> None:
     fixed = joint("end", "finger", "pad", "0 0 0.05", kind="fixed").replace(
         '0.05"', '0.05" rpy="0 1.5707963267948966 0"'
     )
@@ -241,9 +241,7 @@ def fail(*_: Any, **__: Any) -> Any:
     raise AssertionError("this was to come from the cache")
 
 
-def test_the_second_reading_makes_and_reads_nothing_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_second_reading_makes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bent().export(tmp_path / "bent.stl")
     trimesh.creation.icosphere(2, 0.01).export(tmp_path / "seen.obj")
     text = small(mesh("seen.obj", role="visual"), mesh("bent.stl", "1 -1 0.5"))
@@ -282,9 +280,7 @@ def test_one_process_reads_all_meshes_of_a_hand(
     assert runs == ["reading 3 mesh files, once for this content"]
 
 
-def test_all_missing_meshes_are_told_before_any_is_read(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_missing_meshes_are_told_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bent().export(tmp_path / "bent.stl")
     monkeypatch.setattr(meshes, "open_mesh", fail)
     palm = mesh("bent.stl") + mesh("meshes/a.stl") + mesh("c.stl", role="visual")
@@ -300,9 +296,7 @@ def test_all_missing_meshes_are_told_before_any_is_read(
     ("unit", "scale"),
     [("<unit name='centimetre' meter='0.01'/>", "0.1 0.1 0.1"), ("<unit/>", "0.001 0.001 0.001")],
 )
-def test_the_unit_of_a_dae_counts_where_a_hand_touches_and_is_seen(
-    tmp_path: Path, unit: str, scale: str
-) -> None:
+def test_the_unit_of_a_dae_counts(tmp_path: Path, unit: str, scale: str) -> None:
     """ROS applies the unit, too; the up axis is ignored."""
     write_dae(tmp_path, f"{unit}<up_axis>Y_UP</up_axis>")
     made, _ = read(tmp_path, small(BALL, mesh("a.dae", scale) + mesh("a.dae", scale, "visual")))
@@ -342,7 +336,7 @@ def write_dae(folder: Path, asset: str) -> None:
     ],
     ids=["millimetres", "a point", "kind", "device", "address", "long", "no name", "inches"],
 )
-def test_files_that_are_no_mesh_of_a_hand_are_refused(
+def test_files_that_are_no_mesh_are_refused(
     tmp_path: Path, name: str, content: Any, message: str
 ) -> None:
     if isinstance(content, str):

@@ -240,7 +240,7 @@ HOSTILE: dict[str, tuple[Callable[[Trap], str], str]] = {
 
 
 @pytest.mark.parametrize("kind", HOSTILE)
-def test_a_hostile_file_has_no_effect_but_one_sentence(
+def test_hostile_files_have_no_effect(
     kind: str, trap: Trap, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     make, message = HOSTILE[kind]
@@ -264,7 +264,7 @@ def test_a_hostile_file_has_no_effect_but_one_sentence(
 @pytest.mark.parametrize(
     "name", ["innocent.urdf", "innocent.xml", "innocent", "innocent.xacro.urdf"]
 )
-def test_only_files_that_are_named_xacro_are_expanded(trap: Trap, name: str) -> None:
+def test_only_xacro_files_are_expanded(trap: Trap, name: str) -> None:
     """`xacro=True` expands others, and nothing else is allowed in those."""
     (trap.own / name).write_text(value(FRAME.format(trap.marker)))
     with pytest.raises(
@@ -288,7 +288,7 @@ def test_no_variable_is_seen(trap: Trap) -> None:
     assert HandDescription.from_file(trap.own / "hand.xacro").name == "-" * len(names)
 
 
-def test_the_second_barrier_stops_what_the_first_lets_through(trap: Trap) -> None:
+def test_the_second_barrier(trap: Trap) -> None:
     """The codec of a text is a module; nothing is imported while xacro runs."""
     (trap.own / "hand.xacro").write_text(value("'a'.encode('this')"))
     with pytest.raises(

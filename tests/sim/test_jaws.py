@@ -84,7 +84,7 @@ def test_both_jaws_touch_at_once(hand: HandDescription, item: ObjectDescription)
         assert wanted > 0.0 or (gaps < 2e-5).all()
 
 
-def test_a_motor_that_moves_both_jaws_makes_both_forces() -> None:
+def test_one_motor_makes_the_forces_of_both_jaws() -> None:
     """A grasp takes twice the force of one motor that it takes of two."""
     soft = with_soft_contacts(BALL, jaws())
     placed = place_hand(jaws(1, 10.0), soft)
@@ -109,7 +109,7 @@ def test_pads_stand_before_flat_jaws() -> None:
     assert with_protruding_tips(three) == three
 
 
-def test_two_fingers_get_soft_contacts_and_it_is_said() -> None:
+def test_two_fingers_get_soft_contacts() -> None:
     words = r"torsional_friction=0.0056 m, 2/3 of friction 0.7 times the 12 mm .* object={'torsional_friction'"
     with pytest.warns(GraspWarning, match=words):
         config = EnvConfig(hand=jaws(), object=BALL).resolved()

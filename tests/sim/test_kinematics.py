@@ -141,7 +141,7 @@ def test_coupled_joints_add_to_their_drivers() -> None:
         )
 
 
-def test_mobility_is_the_largest_acceleration_of_tips() -> None:
+def test_mobility_is_the_largest_acceleration() -> None:
     """For joints under springs it is a bound."""
     kinematics = HandKinematics(turned())
     tips, joints = kinematics.mobility(kinematics.home)
@@ -212,7 +212,7 @@ def test_tips_out_of_reach_are_refused(finger: int, tip: tuple[float, ...], mess
     assert not kinematics.reachable(tips)
 
 
-def test_fingers_that_share_a_joint_are_refused_together() -> None:
+def test_fingers_that_share_a_joint() -> None:
     kinematics = HandKinematics(crooked())
     first = kinematics.home.copy()
     second = kinematics.home.copy()

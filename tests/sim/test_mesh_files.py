@@ -126,7 +126,7 @@ def test_a_bomb_ends_in_a_sentence(
         (TimeoutError("it took more than 30 s"), "bad took more than 30 s to be read as .off"),
     ],
 )
-def test_a_file_that_ends_the_process_costs_none_beside_it(
+def test_a_crash_costs_no_file_beside_it(
     end: Exception, message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def run(*_: Any, kinds: Any, memory: int, variables: Any, **files: Any) -> Any:

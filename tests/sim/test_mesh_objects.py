@@ -160,7 +160,7 @@ def heights(item: ObjectDescription, points: np.ndarray) -> np.ndarray:
     return np.min([(points @ hull[:, :3].T + hull[:, 3]).max(axis=1) for hull in hulls], axis=0)
 
 
-def test_pieces_cover_the_mesh_and_leave_hollows_open(made: Made) -> None:
+def test_pieces_cover_the_mesh(made: Made) -> None:
     item = made[1]
     size = max(made[1].extent)
     assert 1 < len(item.pieces) <= MAX_PIECES

@@ -244,7 +244,7 @@ def test_equalities_of_jaws_are_read_exactly(
 ROD = '<body name="rod" pos="0 0.03 0.02"><joint name="ball" type="ball"/><geom type="capsule" size="0.003" fromto="0 0 0 0 0 0.04"/>{}</body>'
 
 
-def test_wrists_names_and_motors_that_a_file_does_not_give(tmp_path: Path) -> None:
+def test_what_a_file_does_not_give(tmp_path: Path) -> None:
     """The world becomes the palm of a hand on a wrist, bodies get unused names, all joints get
     motors, and rods on ball joints are left out."""
     text = FINGERS.format(one="", two="", rod=ROD.format(""), more="").replace('name="p2" ', "")

@@ -174,7 +174,7 @@ def coupled(hand: HandDescription) -> tuple[np.ndarray, np.ndarray]:
     return shift, ends
 
 
-def test_coupled_and_sliding_joints_are_held_by_the_motors_of_their_drivers() -> None:
+def test_drivers_hold_coupled_and_sliding_joints() -> None:
     """Gravity torques, none on coupled joints, hold the hand, and coupled joints follow their
     drivers."""
     hand = crooked_hand()
@@ -332,16 +332,14 @@ def test_visual_meshes_and_hulls_are_drawn(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("opengl")
-def test_pictures_and_pytorch_for_cuda_in_one_process() -> None:
+def test_pictures_beside_pytorch() -> None:
     """Mesa's LLVM loaded before triton's crashes Python."""
     pytest.importorskip("triton", reason="PyTorch's builds without CUDA do not bring triton")
     code = "from grasp_env.sim.picture.mujoco import MujocoPainter; painter = MujocoPainter(); import triton"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-def test_without_opengl_the_message_says_what_to_install(
-    monkeypatch: pytest.MonkeyPatch, make_scene: Callable[..., Scene]
-) -> None:
+def test_without_opengl(monkeypatch: pytest.MonkeyPatch, make_scene: Callable[..., Scene]) -> None:
     monkeypatch.setitem(sys.modules, "mujoco.osmesa", None)
     monkeypatch.setenv("MUJOCO_GL", "osmesa")
     with pytest.raises(

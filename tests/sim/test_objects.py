@@ -71,7 +71,7 @@ def inside(item: ObjectDescription, x: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("shape", SHAPES_WITHOUT_MESH)
-def test_nearest_points_are_on_the_shape_and_nothing_is_nearer(shape: str) -> None:
+def test_nothing_is_nearer(shape: str) -> None:
     item = ObjectDescription(shape, SIZES[shape])
     sample = centers(200_000)
     within = inside(item, sample) >= 0.0

@@ -72,7 +72,7 @@ def test_a_hand_on_an_arm_is_the_hand_alone(tmp_path: Path) -> None:
     assert any(shape.origin == pytest.approx((0.12, 0.0, 0.0)) for shape in there.palm.collision)
 
 
-def test_one_hand_of_a_robot_is_read_and_the_rest_left_out(tmp_path: Path) -> None:
+def test_one_hand_of_a_robot_is_read(tmp_path: Path) -> None:
     made, told = read(tmp_path, ROBOT, ["rt2", "rm2"], palm="rpalm")
     assert made.joint_names == ("ria", "rib", "rma", "rmb", "rta", "rtb")
     assert made.finger_names == ("rt2", "rm2")
@@ -180,7 +180,7 @@ NAIL = (
     ],
     ids=["wrist", "long fingers", "a finger", "followers", "given range", "equal limits"],
 )
-def test_the_hand_of_a_file_and_the_joints_that_hold_still(
+def test_joints_that_hold_still(
     tmp_path: Path,
     text: str,
     options: dict[str, Any],
@@ -260,7 +260,7 @@ def gripper(limits: tuple[float, float]) -> str:
         ),  # a caller's always count
     ],
 )
-def test_rods_are_no_fingertips_and_limits_that_stop_a_motor_are_ignored(
+def test_rods_are_no_fingertips(
     tmp_path: Path,
     limits: tuple[float, float],
     options: dict[str, Any],

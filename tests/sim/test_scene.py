@@ -222,7 +222,7 @@ Scene(SceneConfig(engine=ENGINES[{engine_of().name!r}]())).close()"""
 
 
 @needs_bullet
-def test_bodies_contacts_and_slip_are_those_of_bullet(held: Scene, make_holder: Callable) -> None:
+def test_snapshots_are_those_of_bullet(held: Scene, make_holder: Callable) -> None:
     """While an unknown wrench moves and turns the object."""
     holder = make_holder()
     for _ in range(30):
@@ -339,7 +339,7 @@ def reading(make_scene: Callable[..., Scene]) -> Reading:
     return made
 
 
-def test_contacts_of_a_tip_add_up_and_others_are_stray(reading: Reading) -> None:
+def test_contacts_add_up_and_others_are_stray(reading: Reading) -> None:
     link = reading.links[2]
     at = reading.touch[2]
     s = reading.look(

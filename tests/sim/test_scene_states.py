@@ -85,7 +85,7 @@ def test_loading_another_object_and_back_is_exact(held: Scene, make_holder: Call
 
 
 @pytest.mark.parametrize("push", [1e6, 1e12, 1e308])
-def test_divergence_is_an_error_without_output_and_reset_mends_it(
+def test_a_reset_mends_divergence(
     make_scene: Callable[..., Scene],
     make_holder: Callable,
     engine: EngineSettings,

@@ -98,7 +98,7 @@ def test_a_users_hand_is_that_of_its_file() -> None:
         HandDescription.from_urdf("none.urdf")
 
 
-def test_a_hand_is_placed_where_its_place_or_posture_is_given() -> None:
+def test_a_given_place_or_posture_places_a_hand() -> None:
     here = crooked()
     place = Frame.of((0.0, 0.145, 0.02), (1.0, -0.4, 2.0))
     there = crooked(position=(0.0, 0.145, 0.02), rotation=(1.0, -0.4, 2.0))
@@ -119,9 +119,7 @@ def test_tip_radius_makes_a_tip(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("given", "limit"), [([3.0], 3.0), ({"bend": 3.0}, 3.0), ({}, 2.0)])
-def test_torques_are_those_given_else_those_of_the_file(
-    tmp_path: Path, given: Any, limit: float
-) -> None:
+def test_given_torques_count(tmp_path: Path, given: Any, limit: float) -> None:
     made, told = read(tmp_path, SMALL, torque_limit=given)
     assert (made.torque_limits.tolist(), told) == ([limit], "")
 
@@ -141,7 +139,7 @@ def test_coupled_and_sliding_joints_are_read(tmp_path: Path) -> None:
     assert read(tmp_path, hand_urdf(made), ["end"])[0].links == made.links
 
 
-def test_everything_wrong_with_a_file_is_told_at_once(tmp_path: Path) -> None:
+def test_all_faults_are_told_at_once(tmp_path: Path) -> None:
     text = CHAINED.replace('multiplier="1.5"', 'multiplier="x"').replace('lower="-1"', 'lower="2"')
     text = text.replace('<sphere radius="0.01"/>', '<mesh filename="no.stl"/>')
     with pytest.raises(InvalidInputError) as told:
@@ -182,9 +180,7 @@ def test_links_with_too_little_inertia_get_a_rotor(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("given", [(1e-5, 0, 0, 1e-5, 0, 9e-5), (1e-5, 5e-5, 0, 1e-5, 0, 1e-5)])
-def test_inertias_of_no_body_become_the_nearest_of_one(
-    tmp_path: Path, given: tuple[float, ...]
-) -> None:
+def test_impossible_inertias_become_the_nearest(tmp_path: Path, given: tuple[float, ...]) -> None:
     """The largest moment exceeds the sum of the others, or one is negative; the palm's inertia is
     not judged."""
     row = " ".join(

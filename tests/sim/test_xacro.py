@@ -58,9 +58,7 @@ def test_files_beside_it_and_in_packages_are_read(
     assert HandDescription.from_file(installed / "urdf" / "hand.xacro") == made
 
 
-def test_macros_are_called_whatever_the_address_of_the_namespace(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_macros_are_called(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ends = ("${-pi/4}", "${pi/4}")
     finger = joint("${name}_joint", "palm", "${name}", "0 ${y} 0", ends) + link("${name}")
     macro = f'<xacro:macro name="finger" params="name y">{finger}</xacro:macro>'
@@ -173,7 +171,7 @@ def test_pointers_among_its_files_are_named(tmp_path: Path, words: str) -> None:
         read(tmp_path, xacro_hand(words), name="hand.xacro")
 
 
-def test_a_version_of_xacro_that_is_not_guarded_is_refused(
+def test_other_versions_of_xacro_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """ROS puts its own version in front."""
@@ -189,7 +187,7 @@ def test_a_version_of_xacro_that_is_not_guarded_is_refused(
         read(tmp_path, xacro_hand(), name="hand.xacro")
 
 
-def test_a_file_in_the_folder_of_everything_reads_only_its_neighbours() -> None:
+def test_a_file_of_the_root_reads_its_neighbours() -> None:
     root = Path("/")
     assert _is_inside(root / "sizes.yaml", root)
     assert not _is_inside(root / "etc" / "passwd", root)

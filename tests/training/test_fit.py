@@ -88,7 +88,7 @@ def test_samples_share_the_frictions_and_the_ball():
     assert ((sizes >= 10.0) & (sizes <= 20.0)).all()
 
 
-def test_a_short_fit_learns_and_its_file_holds_the_network_of_every_friction():
+def test_a_short_fit_learns():
     checkpoint = fit(FitConfig(**{**FIXED, "steps": 300, "samples": 20_000, "hidden": (32, 32)}))
     curve = np.array([row.split() for row in checkpoint.card["curve"]["rows"]], float)
     # median gaps, held out: ball and range
@@ -145,7 +145,7 @@ class Slope(NetworkTask):
 
 
 @pytest.mark.parametrize("rate", [2e-2, 3e-3])
-def test_weights_move_by_the_learning_rate_which_rises_and_falls_to_zero(rate):
+def test_the_learning_rate_rises_and_falls(rate):
     """Straight up to `learning_rate` over the first 3 % of the steps, then down like a squared
     cosine."""
     task = Slope(FitConfig(**{**FIXED, "steps": 400}, learning_rate=rate))
@@ -158,9 +158,7 @@ def test_weights_move_by_the_learning_rate_which_rises_and_falls_to_zero(rate):
     assert (moves > 0.0).all()
 
 
-def test_the_same_bits_with_one_thread_or_two_also_after_an_interrupt(
-    tmp_path, monkeypatch, capsys
-):
+def test_bits_do_not_depend_on_threads_or_interrupts(tmp_path, monkeypatch, capsys):
     settings = FitConfig(**FIXED)
     out = tmp_path / "model"
     whole, single = (fit(made) for made in (settings, FitConfig(**FIXED, threads=1)))

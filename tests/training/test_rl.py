@@ -80,7 +80,7 @@ def steps_of(folder: Path) -> int:
     return read_meta(find_checkpoint(folder))["steps"]
 
 
-def test_a_run_leaves_rows_that_the_environment_repeats_and_no_pickle(ppo):
+def test_rows_are_repeated_by_the_environment(ppo):
     rows, about = Run(ppo).load()
     held_out = rows[rows["case"] == "held_out"]
     assert (about["kind"], about["quick"]) == ("rl", False)
@@ -194,7 +194,7 @@ def test_training_begins_at_the_paper(algorithm, tmp_path):
     envs.close()
 
 
-def test_the_agent_is_stable_baselines3s_and_is_filmed(ppo, sac, tmp_path, capsys):
+def test_the_agent_is_stable_baselines3s(ppo, sac, tmp_path, capsys):
     for folder, algorithm in ((ppo / "seed-0", "ppo"), (sac / "seed-0", "sac")):
         agent = TrainedAgent.load(folder)
         theirs = training_of(folder, algorithm)
@@ -220,7 +220,7 @@ def checkpoint(folder: Path) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("algorithm", ["ppo", "sac"])
-def test_two_resumes_from_one_checkpoint_are_equal_bit_by_bit(algorithm, ppo, sac, tmp_path):
+def test_two_resumes_are_equal(algorithm, ppo, sac, tmp_path):
     source = (ppo if algorithm == "ppo" else sac) / "seed-0"
     old = find_checkpoint(source)
     resumed = training_of(source, algorithm)
@@ -273,7 +273,7 @@ def test_finished_and_foreign_runs_are_refused(ppo, sac, tmp_path, capsys):
     assert not (tmp_path / "never").exists()
 
 
-def test_runs_are_compared_and_agents_train_in_any_environment(ppo, tmp_path, monkeypatch):
+def test_runs_are_compared(ppo, tmp_path, monkeypatch):
     monkeypatch.setattr(training.rl.speed, "STEPS", 48)
     monkeypatch.setattr(training.rl.speed, "ROUNDS", 1)
     ball = tmp_path / "ball"
@@ -305,7 +305,7 @@ def test_runs_are_compared_and_agents_train_in_any_environment(ppo, tmp_path, mo
     assert len(page.CLAIMS[0].values(summary(rows))) == 2  # in both environments
 
 
-def test_an_interrupt_leaves_a_whole_checkpoint_to_continue_from(tmp_path, monkeypatch):
+def test_interrupts_leave_a_whole_checkpoint(tmp_path, monkeypatch):
     real = training.rl.train.score
     handler = signal.getsignal(signal.SIGINT)
 
@@ -327,7 +327,7 @@ def test_an_interrupt_leaves_a_whole_checkpoint_to_continue_from(tmp_path, monke
     assert Run(out).load()[1]["config"]["steps"] == 96
 
 
-def test_seeds_in_other_processes_save_and_end_with_the_run(tmp_path, monkeypatch):
+def test_seeds_end_with_the_run(tmp_path, monkeypatch):
     config = RLConfig(**TINY, seeds=(0, 1))
     out = tmp_path / "run"
     monkeypatch.setattr(
@@ -351,7 +351,7 @@ def test_training_never_sees_the_episodes_that_score():
     assert len(set(seeds)) == len(seeds)
 
 
-def test_baselines_solve_for_agents_without_solver_and_rewards_are_not_clipped():
+def test_baselines_solve_and_rewards_are_whole():
     config = RLConfig(**{**TINY, "episodes": 1}, action="contact_force").resolved()
     rows = rows_of(Shard("zero", config))
     played = rows[rows["case"] == "held_out"]

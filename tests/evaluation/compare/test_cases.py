@@ -42,7 +42,7 @@ def test_cases_repeat_and_depend_on_the_seed(name):
 
 
 @pytest.mark.parametrize(("name", "size"), [("jump_10", 0.1), ("jump_50", 0.5), ("jump_100", 1.0)])
-def test_jumps_have_their_size_and_stay_in_the_ball(name, size):
+def test_jumps_have_their_size(name, size):
     for case in make_cases(name, 30, 0):
         now, move = (
             (each / RADII).reshape(2, 3) for each in (case.wrench, case.wrench - case.before[1])
@@ -51,7 +51,7 @@ def test_jumps_have_their_size_and_stay_in_the_ball(name, size):
         assert np.linalg.norm(now, axis=1).max() <= 1.0
 
 
-def test_paths_are_chained_and_cover_what_they_promise():
+def test_paths_are_chained():
     cases = make_cases("trajectories", 400, 0)
     assert [k for k, case in enumerate(cases) if case.before is None] == [0, 200]
     assert {case.group for case in cases} == {0, 1}
@@ -89,7 +89,7 @@ def test_contacts_lie_on_a_solid_and_press_into_it(base, shape):
     assert feasibility(grasp, np.zeros(6)).margin > recipe.margin / 4
 
 
-def test_near_grasps_are_near_and_random_ones_are_not():
+def test_near_grasps_are_near():
     fixed = presets.paper_cuboid()
     far = list[float]()
     assert {case.event for case in make_cases("friction", 10, 0)} == {f"{mu:g}" for mu in FRICTIONS}
@@ -109,7 +109,7 @@ def test_near_grasps_are_near_and_random_ones_are_not():
             require_near_fixed(EVALUATION.closed(np.random.default_rng(count), count))
 
 
-def test_changes_of_contact_carry_the_forces_by_place():
+def test_changes_of_contact_carry_forces():
     """Persisting fingers keep their force as a vector; a finger that lands is inside its cone."""
     rng = np.random.default_rng(0)
     events = set[str]()

@@ -26,7 +26,7 @@ def given() -> Given:
     return Given.of((f"sometimes={own}:Sometimes", f"outside={own}:outside"))
 
 
-def test_the_plan_and_the_rows_have_every_set_start_method_and_scenario():
+def test_plan_and_rows_are_complete():
     starts = (*HELD_WITH, "learned_fixed", "sometimes", "outside")
     assert {*plan(given())} == {
         *SETS,
@@ -49,7 +49,7 @@ def test_the_plan_and_the_rows_have_every_set_start_method_and_scenario():
     assert 0 < rows["bytes"].iloc[-1] < 2_000_000
 
 
-def test_given_starts_are_counted_with_their_failures():
+def test_given_starts_are_counted():
     rows = small_run().folder.load()[0]
     flow = chosen(rows, "method == 'reduced_flow'")
     assert {*chosen(flow, "case == 'ball' and start == 'outside'")["reason"]} == {
@@ -64,7 +64,7 @@ def test_given_starts_are_counted_with_their_failures():
     }
 
 
-def test_times_are_those_of_the_first_problems_and_of_starts_that_exist():
+def test_times_are_of_the_first_problems():
     rows = small_run().folder.load()[0]
     timed = rows[rows["microseconds"].notna()]
     assert ((timed["microseconds"] > 0.0) & (timed["microseconds"] < 1e6)).all()
@@ -79,7 +79,7 @@ def test_times_are_those_of_the_first_problems_and_of_starts_that_exist():
     assert (timed[timed["method"] == "reduced_flow"]["start_microseconds"] > 0.0).all()
 
 
-def test_an_interrupted_run_continues_and_gives_the_rows_of_a_whole_one(tmp_path, monkeypatch):
+def test_interrupted_runs_continue(tmp_path, monkeypatch):
     whole = small_run().folder.load()[0]
     real = comparison.work
     done = list[str]()
@@ -112,7 +112,7 @@ def test_an_interrupted_run_continues_and_gives_the_rows_of_a_whole_one(tmp_path
     assert mine.equals(theirs)
 
 
-def test_the_command_prints_claims_and_refuses_to_overwrite(capsys):
+def test_the_command_refuses_to_overwrite(capsys):
     made = small_run()
     assert made.out.startswith("QUICK RUN")
     assert "MISSED  sometimes: cases without a start, all sets" in made.out
@@ -123,7 +123,7 @@ def test_the_command_prints_claims_and_refuses_to_overwrite(capsys):
     assert "holds a finished run" in capsys.readouterr().err
 
 
-def test_a_call_keeps_its_shortest_time_in_microseconds_and_one_that_raises_has_none(monkeypatch):
+def test_the_shortest_time_counts(monkeypatch):
     clock = iter([0, 3000, 0, 9000, 0, 0, 5000, 0, 2000, 0])
 
     def call(k: int) -> None:

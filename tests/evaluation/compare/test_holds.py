@@ -60,7 +60,7 @@ def info(**changes):
     }
 
 
-def test_the_columns_of_an_episode_are_those_of_its_steps():
+def test_columns_of_an_episode():
     steps = [
         info(drift=5e-4),
         info(drift=3e-4, tilt=0.02, iterations=20, time=0.2, stray_force=0.7, torque_margin=0.1),
@@ -77,7 +77,7 @@ def test_the_columns_of_an_episode_are_those_of_its_steps():
     assert not episode_columns([info(touching=np.array([True, False])), info()])["contact_always"]
 
 
-def test_a_failure_has_its_cause_and_no_drift_of_held_episodes():
+def test_failures_have_causes_and_no_drift():
     for last, failure in (
         ({"fault": "slid"}, "slid"),
         ({"fault": "dropped", "saturated": 0.5}, "torque"),
@@ -100,7 +100,7 @@ def test_an_episode_depends_on_its_seed_alone():
     assert (item.mass, redrawn, len(points)) == (first["mass"], first["redrawn"], 4)
 
 
-def test_a_grasp_that_does_not_settle_or_cannot_be_placed_counts_as_not_held(monkeypatch):
+def test_grasps_that_do_not_begin_are_not_held(monkeypatch):
     row = trial({**SHORT, "controller.friction_error": 2.0}, False, 0)
     assert (row["failure"], row["held"]) == ("no_start", False)
     assert "settle" in row["detail"]
@@ -134,7 +134,7 @@ def test_a_seed_is_the_same_object_in_every_engine():
 
 
 @needs_bullet
-def test_an_object_of_a_mesh_file_is_held_and_named(tmp_path):
+def test_objects_of_mesh_files_are_held(tmp_path):
     path = str(tmp_path / "brick.stl")
     trimesh.creation.box((50, 50, 50)).export(path)
     plan = HoldsConfig(
@@ -162,7 +162,7 @@ PLAN = [
 ]
 
 
-def test_an_interrupted_run_continues_and_every_episode_counts(tmp_path, monkeypatch):
+def test_interrupted_runs_continue(tmp_path, monkeypatch):
     config = HoldsConfig(seed=7)
     rows, _ = run(config, plan=PLAN, workers=1)
     assert rows["seed"].tolist() == [*range(7, 12), 7, 7]

@@ -44,7 +44,7 @@ def of(rows, start, method="reduced_flow"):
     return chosen(rows, f"start == '{start}' and method == '{method}'")
 
 
-def test_every_start_has_a_row_for_every_case_that_agrees_with_a_single_run(ball, starts):
+def test_rows_agree_with_single_runs(ball, starts):
     cases, rows = ball
     assert {*rows["start"]} == {*starts} == {*STARTS}
     for key in starts:
@@ -79,7 +79,7 @@ def test_every_start_has_a_row_for_every_case_that_agrees_with_a_single_run(ball
             assert row["margin"] > 0.0
 
 
-def test_a_level_that_was_not_reached_counts_as_more_than_the_limit(monkeypatch, starts):
+def test_levels_that_were_not_reached(monkeypatch, starts):
     monkeypatch.setattr(trial, "ITERATION_LIMIT", 3)
     some = {key: starts[key] for key in ("linear_combination", "learned_fixed")}
     rows = table(trials("ball", make_cases("ball", 40, 0), some, PHI))
@@ -93,7 +93,7 @@ def test_a_level_that_was_not_reached_counts_as_more_than_the_limit(monkeypatch,
     ).tolist()
 
 
-def test_starts_are_feasible_balanced_and_corrected_ones_no_worse(ball, starts):
+def test_starts_are_feasible_and_balanced(ball, starts):
     _, rows = ball
     assert (numbers(rows, "start_margin") > 0.0).all()
     assert (numbers(rows, "start_residual") < 1e-9).all()
@@ -125,7 +125,7 @@ def test_starts_are_feasible_balanced_and_corrected_ones_no_worse(ball, starts):
         )
 
 
-def test_a_start_that_does_not_apply_has_no_row_and_one_that_fails_has_one():
+def test_starts_that_fail_or_do_not_apply():
     def never(grasp, load, before):
         raise InfeasibleStartError("none")
 
@@ -180,7 +180,7 @@ def test_invalid_forces_are_told_from_each_other():
     )
 
 
-def test_the_nearest_stored_solution_is_that_of_its_wrench_and_optima_are_of_their_grasp(factory):
+def test_the_nearest_stored_solution(factory):
     (forces, tree), optimizers = factory.stored, trial.Optimizers(PHI)
     load = tree.data[7] * [1.0, 1.0, 1.0, 0.05, 0.05, 0.05]
     fixed = presets.paper_cuboid()
@@ -208,7 +208,7 @@ def test_slopes_are_differences_along_a_path():
     assert np.isnan(slopes[[0, 2]]).all()  # the last case does not follow the one before it
 
 
-def test_timed_calls_start_where_the_compared_starts_are(starts):
+def test_timed_calls_begin_at_the_compared_starts(starts):
     grasp = presets.paper_cuboid()
     (first, second) = wrench.sample_ball(np.random.default_rng(5), 2)
     paper = PHI.value(grasp.to_cone(starts["linear_combination"].start(grasp, second, None)))

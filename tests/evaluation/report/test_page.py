@@ -58,7 +58,7 @@ def test_pages_need_no_other_file(held):
         assert ("do not quote these numbers" in page) == quick
 
 
-def test_tables_and_charts_of_starts_are_recomputed_from_the_rows():
+def test_tables_are_recomputed_from_the_rows():
     rows = small_run().folder.load()[0]
     # without the user's starts, which fail
     rows = rows[~rows["start"].isin(["sometimes", "outside"])]
@@ -101,7 +101,7 @@ def test_tables_and_charts_of_starts_are_recomputed_from_the_rows():
     assert failures["count"].tolist() == [3]
 
 
-def test_claims_are_all_measured_missed_ones_first_and_can_be_missed(held, capsys):
+def test_claims_are_measured_and_can_be_missed(held, capsys):
     folder, text = held
     folder.path("report.html").unlink()
     assert main(["report", str(folder.folder)]) == 0
@@ -122,7 +122,7 @@ def test_claims_are_all_measured_missed_ones_first_and_can_be_missed(held, capsy
     ]
 
 
-def test_hold_rates_mark_the_chosen_setting_and_count_failures(held):
+def test_hold_rates_mark_the_chosen_setting(held):
     rows = held[0].load()[0]
     means = module_of({"kind": "env"}).derive(summary(rows))
     picked = means[means["chosen"]].set_index(["case", "controller"])
@@ -150,7 +150,7 @@ def test_hold_rates_mark_the_chosen_setting_and_count_failures(held):
     assert found.to_numpy().tolist() == [[1, 77, "none"]]
 
 
-def test_any_table_gets_a_page_and_changed_files_are_refused(tmp_path):
+def test_any_table_gets_a_page(tmp_path):
     folder = Run.create(tmp_path, "other")
     folder.save(
         table([{"case": "a", "per_second": 2.0}, {"case": "a", "per_second": 4.0}]),
@@ -197,7 +197,7 @@ def test_two_runs_are_compared_with_intervals(tmp_path, capsys):
 
 
 @pytest.mark.skipif(EXECUTABLE is None, reason="no Chromium is installed")
-def test_a_page_opens_from_disk_without_requests_errors_or_overflow():
+def test_a_page_opens_from_disk():
     path = small_run().folder.path("report.html")
     with browser(EXECUTABLE or "") as tab:
         for size, scheme in (((390, 800), "light"), ((1280, 900), "dark")):

@@ -34,7 +34,7 @@ def test_processes_give_the_bytes_of_the_loop(tmp_path):
     assert map_shards(work.squares, {}, on="inline")[0].equals(pd.DataFrame())
 
 
-def test_the_shard_of_a_killed_worker_runs_again_and_finished_ones_do_not(tmp_path, monkeypatch):
+def test_shards_of_killed_workers_run_again(tmp_path, monkeypatch):
     shards = names([(place, tmp_path) for place in range(4)])
     rows, _ = map_shards(work.dies_once, shards, workers=1, keep=tmp_path / "shards")
     assert rows["problem"].tolist() == [0, 1, 2, 3]
@@ -63,7 +63,7 @@ def test_an_interrupted_map_continues(tmp_path, on):
     assert (tmp_path / "calls").read_text().split() == calls
 
 
-def test_rows_keep_the_order_of_the_shards_on_a_cluster_that_ends_them_backwards(monkeypatch):
+def test_rows_keep_the_order_of_the_shards(monkeypatch):
     """A stub of Ray's functions, without a cluster."""
     started: list[dict] = []
     stub = SimpleNamespace(
@@ -95,7 +95,7 @@ def test_rows_keep_the_order_of_the_shards_on_a_cluster_that_ends_them_backwards
 
 
 @pytest.mark.slow
-def test_two_ray_nodes_give_the_bytes_of_the_loop_and_a_killed_worker_loses_nothing(tmp_path):
+def test_two_ray_nodes_give_the_bytes_of_the_loop(tmp_path):
     """Ray listens on all interfaces, so it runs in a network namespace with nothing but loopback."""
     pytest.importorskip("ray", reason="the extra 'ray' is not installed")
     if (

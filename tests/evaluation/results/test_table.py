@@ -174,7 +174,7 @@ def test_damaged_tables_are_refused(tmp_path, monkeypatch):
         read(packed)
 
 
-def test_columns_have_their_order_their_types_and_a_description():
+def test_columns_are_ordered_and_described():
     rows = table([{"held": True, "iterations": 3, "case": "ball", "gap": None}])
     assert {name: str(kind) for name, kind in rows.dtypes.items()} == {
         "case": "string",
@@ -216,13 +216,13 @@ def test_the_summary_is_recomputed_by_numpy():
 
 
 @pytest.mark.parametrize("count", range(1, 18))
-def test_the_interquartile_mean_cuts_a_quarter_at_each_end_rounded_down(count):
+def test_the_interquartile_mean_cuts_quarters(count):
     """Also where a quarter is no whole number of values."""
     values = np.random.default_rng(count).normal(size=count) ** 3
     assert iqm(values) == pytest.approx(trim_mean(values, 0.25), rel=1e-12)  # the order of sums
 
 
-def test_ends_of_a_ratio_leave_out_a_fortieth_of_the_resamples_each():
+def test_ends_of_a_ratio_leave_out_a_fortieth():
     rng = np.random.default_rng(2)
     seen = list[np.ndarray]()
     numerator = rng.uniform(1.0, 3.0, 50)
@@ -295,7 +295,7 @@ def test_a_claim_holds_in_every_row_of_its_query(claim, measured, met):
     assert (judged.measured, judged.met) == (measured, met)
 
 
-def test_missing_numbers_miss_a_claim_and_missed_claims_come_first():
+def test_missing_numbers_miss_a_claim():
     rows = pd.DataFrame(
         {
             "case": ["ball", "jump"],
