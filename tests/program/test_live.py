@@ -254,12 +254,8 @@ def test_only_the_page_itself_may_connect(bare):
     for host, origin, page, websocket in (
         (f"127.0.0.1:{port}", f"http://127.0.0.1:{port}", 200, 101),
         (f"localhost:{port}", f"http://localhost:{port}", 200, 101),
-        (
-            f"127.0.0.1:{port}",
-            None,
-            200,
-            403,
-        ),  # opens the page; browsers send an origin with every websocket
+        # opens the page; browsers send an origin with every websocket
+        (f"127.0.0.1:{port}", None, 200, 403),
         (f"127.0.0.1:{port}", "http://example.org", 403, 403),  # another site
         (f"127.0.0.1:{port}", "http://localhost:1", 403, 403),  # another program on this machine
         (f"127.0.0.1:{port}", "null", 403, 403),  # a file, or a frame without rights

@@ -87,11 +87,8 @@ CORNERS = b"v 0 0 0\nv 1 0 0\nv 0 1 0\n"
         ("a.obj", CORNERS + b"f 1 2 3\n", ""),
         ("a.glb", b"glTF", "are not one of .obj, .stl, .dae"),
         ("a.obj", b"", "are broken"),
-        (
-            "a.obj",
-            CORNERS + b"f 1 2 4\n",
-            "are broken",
-        ),  # Bullet would read beyond its corners, and crash
+        # Bullet would read beyond its corners, and crash
+        ("a.obj", CORNERS + b"f 1 2 4\n", "are broken"),
         ("a.obj", b"f 1 2 3\n" + CORNERS, "are broken"),
         ("a.stl", bytes(10), "are empty"),
         ("a.stl", None, "are missing"),
@@ -177,16 +174,10 @@ def test_cut_and_inset_boxes_are_boxes() -> None:
     [
         ("dome", 0.008, 0.023),  # a capsule's end, and the box around it is cut
         (solid('<box size="0.014 0.03 0.06"/>', "0 0 0.04"), 0.007, 0.07),  # half of the thickness
-        (
-            solid('<box size="0.06 0.06 0.06"/>', "0 0 0.04"),
-            0.015,
-            0.07,
-        ),  # no larger than a fingertip
-        (
-            solid('<box size="0.003 0.02 0.06"/>', "0 0 0.04"),
-            0.004,
-            0.07,
-        ),  # no smaller, though it sticks out
+        # no larger than a fingertip
+        (solid('<box size="0.06 0.06 0.06"/>', "0 0 0.04"), 0.015, 0.07),
+        # no smaller, though it sticks out
+        (solid('<box size="0.003 0.02 0.06"/>', "0 0 0.04"), 0.004, 0.07),
     ],
     ids=["dome", "pad", "thick", "thin"],
 )

@@ -252,12 +252,8 @@ def gripper(limits: tuple[float, float]) -> str:
         ((0.0, 0.5), {}, True, -0.5),  # opposite joints would stop each other
         ((0.4, 0.5), {}, True, -0.5),
         ((-0.5, 0.3), {}, False, -0.3),
-        (
-            (-0.5, 0.5),
-            {"joint_limits": {"left_tip_joint": (0.0, 0.1)}},
-            False,
-            -0.1,
-        ),  # a caller's always count
+        # a caller's always count
+        ((-0.5, 0.5), {"joint_limits": {"left_tip_joint": (0.0, 0.1)}}, False, -0.1),
     ],
 )
 def test_rods_are_no_fingertips(

@@ -65,31 +65,20 @@ def moment(made: Link) -> float:
 @pytest.mark.parametrize(
     ("text", "words", "field", "value"),
     [
-        (
-            hand(effort=0.35),
-            "",
-            "torque_limit",
-            0.35,
-        ),  # Allegro's touch sensor hand: 4 N at the tip
+        # Allegro's touch sensor hand: 4 N at the tip
+        (hand(effort=0.35), "", "torque_limit", 0.35),
         (hand(effort=6.0), "", "torque_limit", 6.0),  # the maker's own file of a prosthesis: 75 N
         (hand(moment=1.5e-4), "", "moment", 1.5e-4),  # with a rotor
         (hand(mass=0.002), "", "mass", 0.002),
         (hand(mass=0.15), "", "mass", 0.15),  # Barrett: 9 g/cm^3
         (hand(limits=(-1.2, 1.95)), "", "upper", 1.95),  # LEAP's thumb
-        (
-            LONG.replace('"10.0"', '"8.0"') + BOX,
-            "",
-            "torque_limit",
-            8.0,
-        ),  # one effort for all that is no power of 10
-        (
-            LONG.replace('"10.0"', '"9.0"', 1) + BOX,
-            "",
-            "torque_limit",
-            9.0,
-        ),  # 10 N m for some joints
+        # one effort for all that is no power of 10
+        (LONG.replace('"10.0"', '"8.0"') + BOX, "", "torque_limit", 8.0),
+        # 10 N m for some joints
+        (LONG.replace('"10.0"', '"9.0"', 1) + BOX, "", "torque_limit", 9.0),
         (WRIST, "", "torque_limit", 20.0),  # moves three fingers
         (jaws(235.0), "", "torque_limit", 235.0),
+        # such as kg mm^2 or g mm^2 written for kg m^2
         *(
             (
                 hand(moment=each),
@@ -98,19 +87,12 @@ def moment(made: Link) -> float:
                 MOMENT,
             )
             for each in (1.0, 3e-4, 1e-8, 0.0)
-        ),  # such as kg mm^2 or g mm^2 written for kg m^2
-        (
-            SEEN,
-            "'i2' (0.2 kg m^2, assumed 5e-06 kg m^2)",
-            "moment",
-            MOMENT,
-        ),  # judged by what is drawn
-        (
-            UNSEEN,
-            "'i2' (0.2 kg m^2, assumed 5e-07 kg m^2)",
-            "moment",
-            5e-7,
-        ),  # by the length of the finger
+        ),
+        # judged by what is drawn
+        (SEEN, "'i2' (0.2 kg m^2, assumed 5e-06 kg m^2)", "moment", MOMENT),
+        # by the length of the finger
+        (UNSEEN, "'i2' (0.2 kg m^2, assumed 5e-07 kg m^2)", "moment", 5e-7),
+        # grams, a hand's mass, tons; 0.27 for all links is heavier than lead
         *(
             (
                 hand(mass=each),
@@ -119,7 +101,7 @@ def moment(made: Link) -> float:
                 MASS,
             )
             for each in (30.0, 1.0, 3e-5, 0.27)
-        ),  # grams, a hand's mass, tons; 0.27 for all links is heavier than lead
+        ),
         (BARE, "without mass get that of their shapes at 1 g/cm^3: 'one' (1 g);", "mass", 1e-3),
         (
             ASTRAY,
@@ -158,18 +140,10 @@ def moment(made: Link) -> float:
             "torque_limit",
             15.0 * 0.2,
         ),
-        (
-            WRIST.replace('"20.0"', '"0"'),
-            "effort 0 of 'wrist'",
-            "torque_limit",
-            3 * 15.0 * 0.144,
-        ),  # the longest finger is 63 mm + 81 mm away
-        (
-            COUPLED,
-            "no effort is given",
-            "torque_limit",
-            15.0 * (0.0824 + 2.0 * 0.0424),
-        ),  # moves the next joint twice as far
+        # the longest finger is 63 mm + 81 mm away
+        (WRIST.replace('"20.0"', '"0"'), "effort 0 of 'wrist'", "torque_limit", 3 * 15.0 * 0.144),
+        # moves the next joint twice as far
+        (COUPLED, "no effort is given", "torque_limit", 15.0 * (0.0824 + 2.0 * 0.0424)),
         (jaws(1000.0), "assumed is 20 N;", "torque_limit", 20.0),
         (jaws(None), "assumed is 20 N;", "torque_limit", 20.0),
         (
@@ -190,12 +164,8 @@ def moment(made: Link) -> float:
             "upper",
             4.49,
         ),
-        (
-            ENDLESS,
-            "kept: 'ea' (unlimited), 'eb' (unlimited);",
-            "upper",
-            1.6,
-        ),  # one joint may fold by half a turn
+        # one joint may fold by half a turn
+        (ENDLESS, "kept: 'ea' (unlimited), 'eb' (unlimited);", "upper", 1.6),
         (
             hand(limits=(-10.0, 90.0)),
             "more than two turns are taken as degrees: 'ia' (-0.175 to 1.57 rad)",
@@ -240,12 +210,13 @@ I1 = (0.02, (0.02, 0.0, 0.0), (4e-06, 0.0, 0.0, 5e-06, 0.0, 5e-06))
             "center",
             I1[1],
         ),
+        # the file's, scaled
         (
             hand(mass=30.0),
             {"inertials": dict.fromkeys(("i1", "i2", "m1", "m2", "t1", "t2"), 0.03)},
             "moment",
             MOMENT,
-        ),  # the file's, scaled
+        ),
         (BARE, {"inertials": {"one": 0.02}}, "mass", 0.02),
         (hand(effort=10.0), {"torque_limit": 0.7}, "torque_limit", 0.7),
         (jaws(20.0, "l"), {"torque_limit": 20.0}, "torque_limit", 20.0),
