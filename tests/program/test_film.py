@@ -76,17 +76,8 @@ def test_every_second_step_is_a_frame(tmp_path, suffix):
     if suffix == ".mp4":  # imageio's own reader leaves pipes open, and warnings are errors here
         import imageio_ffmpeg
 
-        ffmpeg = [
-            imageio_ffmpeg.get_ffmpeg_exe(),
-            "-i",
-            out,
-            "-f",
-            "rawvideo",
-            "-pix_fmt",
-            "rgb24",
-            "-",
-        ]
-        done = subprocess.run(ffmpeg, capture_output=True, check=True)
+        ffmpeg = f"{imageio_ffmpeg.get_ffmpeg_exe()} -i {out} -f rawvideo -pix_fmt rgb24 -"
+        done = subprocess.run(ffmpeg.split(), capture_output=True, check=True)
         assert all(text in done.stderr for text in (b"64x64", b" 25 fps"))
         frames = np.frombuffer(done.stdout, np.uint8).reshape(-1, 64, 64, 3)
     else:
@@ -145,22 +136,7 @@ def test_unfinished_films_leave_older_ones(tmp_path, monkeypatch):
 def test_a_film_shows_the_settings_and_the_outcome(tmp_path, capsys):
     out = tmp_path / "out.png"
     options = "--task move --motion rotate --disturbance impulses --setting disturbance.force=2 --setting mass=0.25"
-    assert (
-        main(
-            [
-                "demo",
-                "--video",
-                str(out),
-                "--seconds",
-                "0.1",
-                "--size",
-                "160",
-                "120",
-                *options.split(),
-            ]
-        )
-        == 0
-    )
+    assert main(f"demo --video {out} --seconds 0.1 --size 160 120 {options}".split()) == 0
     assert re.fullmatch(
         r"held 0\.1 s, drift 0\.\d\d mm: .*out\.png", capsys.readouterr().out.replace("\n", "")
     )

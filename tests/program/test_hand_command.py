@@ -29,20 +29,9 @@ PRINTED = (
 
 
 def test_a_file_is_printed_and_drawn(tmp_path, capsys):
-    (tmp_path / "tiny.urdf").write_text(URDF)
-    assert (
-        main(
-            [
-                "hand",
-                str(tmp_path / "tiny.urdf"),
-                "--draw",
-                str(tmp_path / "tiny.png"),
-                "--size",
-                "64",
-            ]
-        )
-        == 0
-    )
+    path = tmp_path / "tiny.urdf"
+    path.write_text(URDF)
+    assert main(f"hand {path} --draw {tmp_path / 'tiny.png'} --size 64".split()) == 0
     out = capsys.readouterr().out
     assert [word for word in PRINTED if word not in out] == []
     picture = np.array(Image.open(tmp_path / "tiny.png"))
@@ -50,12 +39,7 @@ def test_a_file_is_printed_and_drawn(tmp_path, capsys):
     red = (picture[..., 0] > 150) & (picture[..., 1] < 100)
     assert red[:, 64:].sum() > 10  # the fingertip among the collision shapes
     assert not red[:, :64].any()
-    assert (
-        main(
-            ["hand", str(tmp_path / "tiny.urdf"), "--torque-limit", "0.3", "--fingertips", "finger"]
-        )
-        == 0
-    )
+    assert main(f"hand {path} --torque-limit 0.3 --fingertips finger".split()) == 0
     out = capsys.readouterr().out
     assert "0.3 N m" in out
     assert "is no motor's limit" not in out

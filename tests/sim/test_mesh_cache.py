@@ -65,22 +65,8 @@ def test_show(tmp_path: Path, answer: Any, capsys: pytest.CaptureFixture[str]) -
     ring = trimesh.creation.annulus(30.0, 50.0, 40.0, sections=8)
     ring.apply_translation((0.0, 0.0, 7.0))
     path = save(tmp_path / "ring.obj", ring.vertices, ring.faces)
-    assert (
-        main(
-            [
-                "object",
-                "show",
-                path,
-                "--scale",
-                "0.001",
-                "--draw",
-                str(tmp_path / "ring.png"),
-                "--size",
-                "64",
-            ]
-        )
-        == 0
-    )
+    words = f"object show {path} --scale 0.001 --draw {tmp_path / 'ring.png'} --size 64"
+    assert main(words.split()) == 0
     told = capsys.readouterr().out
     for words in (
         "ring.obj",
@@ -374,16 +360,9 @@ def test_work_apart_has_its_own_memory_and_environment(
     with pytest.raises(ChildProcessError, match="MemoryError"):
         apart("tasks:fill", "work", 60.0, memory=100_000_000, x=np.arange(3.0))
     # Python sets LC_CTYPE
-    needed = {
-        "PYTHONPATH",
-        "LC_CTYPE",
-        "LD_LIBRARY_PATH",
-        "DYLD_LIBRARY_PATH",
-        "PYTHONHOME",
-    }
-    assert set(apart("tasks:names", "work", 60.0, variables={"OWN": "1"})["names"]) - needed == {
-        "OWN"
-    }
+    needed = {"PYTHONPATH", "LC_CTYPE", "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "PYTHONHOME"}
+    seen = apart("tasks:names", "work", 60.0, variables={"OWN": "1"})["names"]
+    assert set(seen) - needed == {"OWN"}
     assert "GRASP_SECRET" in apart("tasks:names", "work", 60.0)["names"]
 
 
