@@ -1,5 +1,4 @@
-"""Other people's code: Gymnasium's wrappers and checker, stable-baselines3's checker, torchrl,
-videos."""
+"""Other people's code: Gymnasium, stable-baselines3, torchrl, videos."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""The force loop: what it balances, the torques it makes, and what happens when fingers slip off
-and land."""
+"""The force loop: balance, torques, and fingers that slip off and land."""
 
 from __future__ import annotations
 

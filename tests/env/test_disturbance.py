@@ -1,5 +1,4 @@
-"""Disturbances: the process against scipy, the momentum of impulses, tilting gravity, functions of
-a user."""
+"""Disturbances: random wrenches, impulses, tilting gravity, functions of a user."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The wrench estimate on a free rigid body with known wrenches; delayed and noisy measurements."""
+"""The wrench estimate on a free body; delayed and noisy measurements."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""The hand holds: every task, controller, hand, object and disturbance, and sensors that know too
-little."""
+"""The hand holds, with every setting."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""The start of an episode: contact forces that carry the weight of any shape, the same bits at
-every reset, a place for the hand."""
+"""The start of an episode: forces that carry the weight, a place for the hand."""
 
 from __future__ import annotations
 

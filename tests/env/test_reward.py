@@ -1,5 +1,4 @@
-"""The reward: holding on always pays more than letting go, and every term is recomputed from what a
-user sees."""
+"""The reward: holding on always pays more, and every term is recomputed."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Settings: one description for each, the same from keywords, dicts, paths and JSON; what is drawn
-at a reset."""
+"""Settings: descriptions, ways to give them, and what is drawn at a reset."""
 
 from __future__ import annotations
 

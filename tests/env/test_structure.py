@@ -1,5 +1,4 @@
-"""Fingers with fewer motors than force components: the share that their structure carries is
-measured, reported once, and held."""
+"""The share of forces that a finger's structure carries."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Plans of an episode: what a seed fixes, the motions and their derivatives, pushes, payloads, and
-criteria of success."""
+"""Plans of an episode: motions, pushes, payloads, and criteria of success."""
 
 from __future__ import annotations
 

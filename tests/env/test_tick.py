@@ -1,5 +1,4 @@
-"""One control tick of the core against the optimizer: at an agent's step, between two, within the
-motors' limits, without closure."""
+"""One control tick of the core against the optimizer."""
 
 from __future__ import annotations
 

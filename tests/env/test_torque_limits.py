@@ -1,5 +1,4 @@
-"""Motors with limits: forces within them where there are any, an honest mark where there are none;
-coupled and missing joints."""
+"""Motors with limits that are shared or far away."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Wrong input gets an error that names it and changes nothing; a lost object ends the episode with
-its cause and finite numbers."""
+"""Wrong input gets an error that names it; lost objects end the episode."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""The study of what the paper leaves open: rows agree with single solves, predictions hold, the
-linear program is optimal."""
+"""The study of what the paper leaves open: rows, predictions, linear programs."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""The command line: exit codes, JSON, suggestions, closed choices, completion, advice, and lazy
-imports."""
+"""The command line: exit codes, JSON, help, completion, and lazy imports."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Videos have the right frames and get their name when they are whole; progress bars fit a terminal
-of 80 columns."""
+"""Videos have the right frames; progress bars fit a terminal."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""`grasp live` in a headless Chromium: it asks nobody else, draws without errors, and follows the
-mouse."""
+"""`grasp live` in a headless Chromium."""
 
 from __future__ import annotations
 

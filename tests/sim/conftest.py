@@ -1,4 +1,4 @@
-"""A controller that holds the reference grasp, and scenes that are closed after the test."""
+"""A controller that holds the reference grasp, engines, and scenes that are closed."""
 
 from __future__ import annotations
 

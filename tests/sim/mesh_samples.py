@@ -1,5 +1,4 @@
-"""Mesh files: small valid ones of every kind, and wrong ones, which claim more than they hold, are
-cut short or need too much."""
+"""Mesh files: small valid ones of every kind, and wrong ones."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Expressions of xacro files: those that Python evaluates to the same, and those that are refused."""
+"""Expressions of xacro files have Python's values or are refused."""
 
 from __future__ import annotations
 

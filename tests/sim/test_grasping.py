@@ -1,5 +1,4 @@
-"""Placed hands and planned grasps: reachable, clear, closed, and balanced by the optimiser; checks
-of given contacts."""
+"""Placed hands, planned grasps, and checks of given contacts."""
 
 from __future__ import annotations
 

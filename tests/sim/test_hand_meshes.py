@@ -1,5 +1,4 @@
-"""Meshes of hands: finding files, convex pieces and their cache, fitted fingertips, and wrong
-files."""
+"""Meshes of hands: files, convex pieces and their cache, fitted fingertips."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Hands' files that try to run a command, to read files or variables, or to take all time or
-memory: none has an effect."""
+"""Hands' files that try to harm have no effect."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Grippers of two jaws: one motor or two, placed with soft contacts, and held under a random
-wrench."""
+"""Grippers of two jaws with one motor or two."""
 
 from __future__ import annotations
 

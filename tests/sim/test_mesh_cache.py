@@ -1,5 +1,4 @@
-"""`grasp object`, which shows and mends meshes; the cache of processed meshes, and algorithms in
-processes of their own."""
+"""`grasp object`, the cache of processed meshes, and processes of their own."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Mesh files of every kind: valid ones are read as trimesh reads them, wrong ones end neither the
-process nor its patience."""
+"""Mesh files: valid ones are read as trimesh reads them, wrong ones end nothing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The nearest point of a mesh and its side, against all faces one by one and against solid angles."""
+"""The nearest point of a mesh and its side, against all faces and solid angles."""
 
 from __future__ import annotations
 

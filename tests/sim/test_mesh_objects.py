@@ -1,4 +1,4 @@
-"""Objects from meshes: measured, repaired, cut into pieces, and held by a hand in each engine."""
+"""Objects from meshes: measured, repaired, cut into pieces, and held."""
 
 from __future__ import annotations
 

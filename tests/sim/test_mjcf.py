@@ -1,4 +1,4 @@
-"""Compare hands from MuJoCo models with MuJoCo: poses, masses, motors and couplings."""
+"""Compare hands from MuJoCo models with MuJoCo."""
 
 from __future__ import annotations
 

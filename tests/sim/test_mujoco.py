@@ -1,5 +1,4 @@
-"""MuJoCo as a simulator: the core's kinematics and dynamics, contact forces with the right sign,
-and pictures."""
+"""MuJoCo as a simulator: kinematics, dynamics, contact forces and pictures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Surfaces, inertia and descriptions of objects, against sums over slices and samples, and Bullet."""
+"""Surfaces, inertia and descriptions of objects, against sums, samples and Bullet."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Find the hand in a file: arms and whole robots, frozen joints, rods of linkages and their limits."""
+"""Find the hand in a file: arms, robots, frozen joints, rods of linkages."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Plausible masses, inertias, motors and ranges of a file are kept; others are replaced, and a
-warning gives both values."""
+"""Implausible masses, inertias, motors and ranges are replaced with a warning."""
 
 from __future__ import annotations
 

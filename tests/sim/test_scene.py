@@ -1,5 +1,4 @@
-"""The physics of a scene, its snapshot against Bullet's own answers, unusual readings, and invalid
-use."""
+"""The physics of a scene, its snapshot, unusual readings, and invalid use."""
 
 from __future__ import annotations
 

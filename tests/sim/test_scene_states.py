@@ -1,5 +1,4 @@
-"""The states of a scene: exact resets, other objects and back, divergence, and memory that does not
-grow."""
+"""The states of a scene: resets, other objects, divergence, and memory."""
 
 from __future__ import annotations
 

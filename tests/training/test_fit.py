@@ -1,5 +1,4 @@
-"""Labels are optima, the metric is the gap, short fits learn and repeat bit by bit, interrupts lose
-nothing."""
+"""Labels, their metric, short fits, and their interrupts."""
 
 from __future__ import annotations
 

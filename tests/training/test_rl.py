@@ -1,5 +1,4 @@
-"""Agents begin as the paper, resume bit by bit, and are scored like the policies they are compared
-with."""
+"""Agents begin as the paper, resume bit by bit, and are scored."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""One small run of `grasp evaluate` for all tests of comparison and report: a few sets, cases,
-starts and scenarios."""
+"""One small run of `grasp evaluate` for the tests of comparison and report."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Cases are the same for the same seed, and have the sizes, places and predecessors that their sets
-promise."""
+"""Cases repeat and keep what their sets promise."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""The whole of `grasp evaluate` in small: rows of sets, starts, methods and roll-outs, times,
-resumed runs, given starts."""
+"""The whole of `grasp evaluate` in small."""
 
 from __future__ import annotations
 

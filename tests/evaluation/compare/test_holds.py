@@ -1,5 +1,4 @@
-"""Episodes are counted right, depend on their seed alone, and are the same whatever runs them;
-plans are sound."""
+"""Episodes are counted right and depend on their seed alone; plans are sound."""
 
 from __future__ import annotations
 

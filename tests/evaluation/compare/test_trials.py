@@ -1,5 +1,4 @@
-"""Rows of starts agree with single runs of the solvers; starts are feasible, timed as compared, and
-their failures are kept."""
+"""Rows of starts agree with single runs of the solvers."""
 
 from __future__ import annotations
 

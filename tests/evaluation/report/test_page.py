@@ -1,5 +1,4 @@
-"""Pages show the numbers of the table, need no other file, and are readable in a browser, wide and
-narrow."""
+"""Pages show the numbers of the table and need no other file."""
 
 from __future__ import annotations
 

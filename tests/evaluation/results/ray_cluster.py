@@ -1,5 +1,4 @@
-"""Program of test_shards.py, for a network namespace of its own: two Ray nodes on this machine, and
-the map on them."""
+"""The map on two Ray nodes in a network namespace, for test_shards.py."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""The map gives the same rows wherever it runs, and loses nothing if a worker dies or the work is
-interrupted."""
+"""The map gives the same rows wherever it runs, and loses nothing."""
 
 from __future__ import annotations
 

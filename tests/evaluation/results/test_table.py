@@ -1,5 +1,4 @@
-"""Run folders hold whole files; tables keep every value; summaries and claims agree with a plain
-recomputation."""
+"""Run folders, tables, summaries and claims."""
 
 from __future__ import annotations
 
