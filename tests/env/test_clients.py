@@ -85,12 +85,12 @@ def test_pictures_before_a_reset_and_after_close() -> None:
     bare: Any = env.unwrapped
     assert bare.render().shape == (48, 64, 3)
     env.reset(seed=0)
-    assert env.render().shape == (48, 64, 3)  # type: ignore[union-attr]
+    assert env.render().shape == (48, 64, 3)
     env.close()
     with pytest.raises(SimulationError, match=r"closed: call reset\(\)"):
         env.render()
     env.reset(seed=0)
-    assert env.render().shape == (48, 64, 3)  # type: ignore[union-attr]
+    assert env.render().shape == (48, 64, 3)
     env.close()
 
 
@@ -152,7 +152,7 @@ def test_an_episode_lasts_as_long_as_its_spec_says(settings: dict[str, Any], ste
         return np.zeros((len(times), 6))
 
     env = gym.make(ID, disturbance=still, **settings)
-    for made in (env, gym.make(env.spec)):  # type: ignore[arg-type]
+    for made in (env, gym.make(env.spec)):
         assert made.spec is not None
         assert made.spec.max_episode_steps == steps
         if steps < 20:

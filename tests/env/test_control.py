@@ -164,7 +164,7 @@ class Trial:
                     )
             advance(torques, wrench)
 
-        scene.advance = pull  # type: ignore[method-assign]
+        scene.advance = pull
         for _ in range(steps):
             _, _, terminated, truncated, info = env.step(np.zeros(6, dtype=np.float32))
             self.infos.append(info)

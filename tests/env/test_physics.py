@@ -33,7 +33,7 @@ def test_pushes_keep_their_direction() -> None:
         pushes.append(env.scene.look().rotation @ push[:3])
         advance(torques, push)
 
-    env.scene.advance = listen  # type: ignore[method-assign]
+    env.scene.advance = listen
     for _ in range(50):
         assert env.step(ZERO)[4]["failure"] == ""
     assert env.scene.look().rotation[1, 0] > 0.05
@@ -109,7 +109,7 @@ def test_links_that_push_the_object_are_no_hold() -> None:
     )
     env.reset(seed=0)
     advance = env.scene.advance
-    env.scene.advance = lambda torques, wrench: advance([*torques[:10], 0.5, torques[11]], wrench)  # type: ignore[method-assign]
+    env.scene.advance = lambda torques, wrench: advance([*torques[:10], 0.5, torques[11]], wrench)
     infos = [
         env.step(np.zeros(env.action_space.shape or (), dtype=np.float32))[4] for _ in range(150)
     ]

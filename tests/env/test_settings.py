@@ -224,7 +224,7 @@ def test_motors_deliver_a_part_of_the_command() -> None:
             largest.append(float(np.abs(torques).max()))
             advance(torques, push)
 
-        env.scene.advance = check  # type: ignore[method-assign]
+        env.scene.advance = check
         env.step(ZERO)
         env.close()
     assert len(largest) == 10

@@ -155,7 +155,7 @@ def test_settings_of_the_engine_and_a_mesh_survive_json(tmp_path: Path) -> None:
     for given in (item, {"shape": "mesh", "mesh": path, "size": np.array([0.001])}):
         env = gym.make(ID, object=given, engine=BulletEngine(solver_iterations=30))
         made = gym.make(restored(env.spec))
-        assert made.unwrapped.config == env.unwrapped.config  # type: ignore[attr-defined]
+        assert made.unwrapped.config == env.unwrapped.config
         assert rows(made) == rows(env)
 
 
@@ -172,7 +172,7 @@ def test_many_environments_have_json() -> None:
         assert first.shape == (2, 83)
         assert {env.unwrapped.config for env in envs.envs} == {
             gym.make(ID, **given).unwrapped.config
-        }  # type: ignore[attr-defined]
+        }
         envs.close()
     single = gym.make(ID, **given)
     assert gym.make_vec(restored(single.spec), 2).num_envs == 2
@@ -191,12 +191,12 @@ def test_lengths_of_episodes_can_be_changed() -> None:
         assert spec is not None
         for steps in (3, 150):
             made = gym.make(spec, max_episode_steps=steps)
-            assert made.unwrapped.config.limits.duration == steps / 50  # type: ignore[attr-defined]
+            assert made.unwrapped.config.limits.duration == steps / 50
             assert made.spec is not None
             assert made.spec.max_episode_steps == steps
             made.close()
     with pytest.warns(UserWarning, match="actions change nothing"):
-        gym.make(env.spec, method="newton").close()  # type: ignore[arg-type]
+        gym.make(env.spec, method="newton").close()
     env.close()
 
 
@@ -259,10 +259,10 @@ def test_what_has_no_json_is_named(given: dict[str, Any], message: str) -> None:
         env.spec.to_json()
     assert env.spec.kwargs["object"]["shape"] == "sphere"
     made = gym.make(env.spec)
-    assert made.unwrapped.config == env.unwrapped.config  # type: ignore[attr-defined]
+    assert made.unwrapped.config == env.unwrapped.config
     many = gym.make_vec(ID, 1, **given)
     with pytest.raises(TypeError, match=message):
-        many.spec.to_json()  # type: ignore[union-attr]
+        many.spec.to_json()
     for each in (env, made, many):
         each.close()
 

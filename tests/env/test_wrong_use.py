@@ -34,58 +34,39 @@ CALLS: dict[str, Callable[..., Any]] = {
     "as_config": as_config,
     "reward": RewardSettings,
 }
-WRONG: list[tuple[str, dict[str, Any], str]] = [
+OVERRIDE: list[tuple[dict[str, Any], str]] = [
+    ({"disturbance": "wind"}, r"unknown disturbance 'wind'.*'none'.*or give a function"),
+    ({"disturbance": {"force": 1.0}}, "disturbance needs a name"),
     (
-        "override",
-        {"disturbance": "wind"},
-        r"unknown disturbance 'wind'.*'none'.*or give a function",
-    ),
-    ("override", {"disturbance": {"force": 1.0}}, "disturbance needs a name"),
-    (
-        "override",
         {"disturbance": {"name": "random", "speed": 1.0}},
         r"disturbance.speed': .*'disturbance.force'",
     ),
-    ("override", {"disturbance.force": 1.0}, "give disturbance a name"),
-    ("override", {"task": {"size": 0.01}}, r"task.size'.*\(none\)"),
-    ("override", {"task": "six_directions", "disturbance": "random"}, "pushes by itself"),
+    ({"disturbance.force": 1.0}, "give disturbance a name"),
+    ({"task": {"size": 0.01}}, r"task.size'.*\(none\)"),
+    ({"task": "six_directions", "disturbance": "random"}, "pushes by itself"),
+    ({"initial_force": "best"}, r"'linear_combination'.* or give a rule\(grasp, wrench\)"),
+    ({"object": 3}, "object must be of class ObjectDescription, or a dict"),
     (
-        "override",
-        {"initial_force": "best"},
-        r"'linear_combination'.* or give a rule\(grasp, wrench\)",
-    ),
-    ("override", {"object": 3}, "object must be of class ObjectDescription, or a dict"),
-    (
-        "override",
         {"engine": {"name": "bullet", "rate": 100}},
         "engine.rate must be a multiple of controller.rate",
     ),
     (
-        "override",
         {"controller": {"rate": 333}},
         "controller.rate must be a multiple of agent.rate, got 333 and 50",
     ),
-    ("override", {"sensors": {"delay": 1e6}}, "sensors.delay must be at most 4000 s"),
-    ("override", {"duration": 1e6}, "limits.duration must be at most 4000 s"),
-    (
-        "override",
-        {"sensors": {"delay": -1.0}, "reward": {"held": "a"}},
-        r"sensors.delay .*; reward.held must",
-    ),
-    ("override", {"approach": "down", "contact_points": POINTS}, "leave one of them out"),
-    ("override", {"randomize": ("colour",)}, "'shape', 'size', 'mass', 'friction'"),
-    (
-        "override",
-        {"randomize": None},
-        "randomize must be a list of some of shape, size, mass, friction",
-    ),
-    ("override", {"randomize": {"mass": (0.3, 0.1)}}, "low <= high"),
-    ("override", {"randomize": {"gravity": (1.0, 2.0)}}, "must be a function"),
-    (
-        "override",
-        {"randomize": "size", "contact_points": POINTS},
-        "contact_points belong to one shape",
-    ),
+    ({"sensors": {"delay": 1e6}}, "sensors.delay must be at most 4000 s"),
+    ({"duration": 1e6}, "limits.duration must be at most 4000 s"),
+    ({"sensors": {"delay": -1.0}, "reward": {"held": "a"}}, r"sensors.delay .*; reward.held must"),
+    ({"approach": "down", "contact_points": POINTS}, "leave one of them out"),
+    ({"randomize": ("colour",)}, "'shape', 'size', 'mass', 'friction'"),
+    ({"randomize": None}, "randomize must be a list of some of shape, size, mass, friction"),
+    ({"randomize": {"mass": (0.3, 0.1)}}, "low <= high"),
+    ({"randomize": {"gravity": (1.0, 2.0)}}, "must be a function"),
+    ({"randomize": "size", "contact_points": POINTS}, "contact_points belong to one shape"),
+    ({"hand": {"name": "four_fingr"}}, r"unknown hand 'four_fingr': did you mean 'four_finger'"),
+]
+WRONG: list[tuple[str, dict[str, Any], str]] = [
+    *(("override", given, message) for given, message in OVERRIDE),
     (
         "reward",
         {"force": 0.3},
@@ -116,11 +97,6 @@ WRONG: list[tuple[str, dict[str, Any], str]] = [
         r"randomize\['gravity'\] is <function",
     ),
     ("as_config", {"config": {"schema": 0}}, "too old"),
-    (
-        "override",
-        {"hand": {"name": "four_fingr"}},
-        r"unknown hand 'four_fingr': did you mean 'four_finger'",
-    ),
     (
         "as_config",
         {"config": {"schema": 2}},
@@ -221,14 +197,14 @@ def test_wrong_calls_change_nothing() -> None:
             else ()
         ):
             with pytest.raises(GraspError, match=r"wrench|options must be a dict"):
-                env.reset(options=options)  # type: ignore[arg-type]
+                env.reset(options=options)
         seen = [env.reset(seed=0)[0]]
         for k in range(5):
             for action in (
                 ([0, 0, np.nan, 0, 0, 0], np.zeros(5), np.zeros((1, 6)), "x", None) if wrong else ()
             ):
                 with pytest.raises(InvalidInputError, match="action must be 6 finite numbers"):
-                    env.step(action)  # type: ignore[arg-type]
+                    env.step(action)
             observed, _, _, truncated, _ = env.step(ZERO)
             assert truncated == (k == 4)
             seen.append(observed)

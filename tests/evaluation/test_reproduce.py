@@ -47,8 +47,8 @@ def test_iterations_are_those_of_the_optimizer(found):
     rules = {"adaptive": AdaptiveStep(), "bb_short": BarzilaiBorweinStep(variant="short")}
     for omega, barrier, rule in ((1.0, 0.001, "adaptive"), (2.0, 0.1, "bb_short")):
         phi = {"force_weight": omega, "barrier_weight": barrier}
-        newton = ForceOptimizer(GRASP, method="newton", tolerance=1e-12, **phi)  # type: ignore[arg-type]
-        flow = ForceOptimizer(GRASP, method="reduced_flow", step_rule=rules[rule], **phi)  # type: ignore[arg-type]
+        newton = ForceOptimizer(GRASP, method="newton", tolerance=1e-12, **phi)
+        flow = ForceOptimizer(GRASP, method="reduced_flow", step_rule=rules[rule], **phi)
         mine = chosen(
             weights, f"rule == '{rule}' and force_weight == {omega} and barrier_weight == {barrier}"
         )

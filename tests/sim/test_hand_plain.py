@@ -16,7 +16,7 @@ from grasp_env.sim import HANDS, HandDescription
 from grasp_env.sim.hand.plain import hand_of, hand_to_plain
 from grasp_env.sim.hand.tree import Fingertip, Geometry, Mimic, Palm
 
-HULL = Geometry("hull", (), corners=tuple(map(tuple, np.vstack([np.eye(3), -np.eye(3)]) / 30.0)))  # type: ignore[arg-type]
+HULL = Geometry("hull", (), corners=tuple(map(tuple, np.vstack([np.eye(3), -np.eye(3)]) / 30.0)))
 DRAWN = Geometry("mesh", (1.0, 1.0, 1.0), color=(0.1, 0.2, 0.3), file="/nowhere/tip.stl")
 ODD = HandDescription(
     "odd",

@@ -344,7 +344,7 @@ def test_a_hand_holds_it(made: Made, engine: Any) -> None:
                 np.zeros(env.action_space.shape or (), dtype=np.float32)
             )
             assert not terminated, info
-        look = env.unwrapped.scene.look()  # pyright: ignore
+        look = env.unwrapped.scene.look()
         points = look.points @ file.rotation + file.center
         outward = -look.normals @ file.rotation
         _, away, faces = trimesh.proximity.closest_point_naive(mesh, points)

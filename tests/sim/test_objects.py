@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
-import pickle
 from collections.abc import Iterator
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -132,7 +130,7 @@ def test_bullet_has_the_same_surface(item: ObjectDescription, client: int) -> No
 
 
 @pytest.mark.parametrize("shape", SHAPES_WITHOUT_MESH)
-def test_inertia_by_slices_and_copies(shape: str) -> None:
+def test_inertia_by_slices(shape: str) -> None:
     item = ObjectDescription(shape, SIZES[shape], mass=0.3)
     across, half, deep = 0.5 * np.array(item.extent)
     y = ((np.arange(100_000) + 0.5) / 50_000 - 1.0) * half
@@ -145,10 +143,6 @@ def test_inertia_by_slices_and_copies(shape: str) -> None:
     wanted = [(mass * each).sum() for each in (y**2 + z, x + z, y**2 + x)]
     np.testing.assert_allclose(item.moments, wanted, rtol=1e-8)
     assert replace(item, inertia=(1e-4, 2e-4, 1e-4)).inertia_matrix[1, 1] == 2e-4
-    assert item.surface.nearest(np.zeros(3))[2] < 0.0  # is no part of a copy
-    stored = ObjectDescription(**json.loads(json.dumps(asdict(item))))
-    for made in (replace(item), pickle.loads(pickle.dumps(item)), stored):
-        assert (made, hash(made)) == (item, hash(item))
 
 
 @pytest.mark.parametrize(

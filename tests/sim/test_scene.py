@@ -149,7 +149,7 @@ CONFIG = SceneConfig()
         (lambda scene: scene.step(np.zeros(11)), "torques"),
         (lambda scene: scene.step(np.zeros(12), np.zeros(5)), "external_wrench"),
         (lambda scene: scene.change_object(mass=-1.0), "mass"),
-        (lambda _: dataclasses.replace(CONFIG, engine="bullet"), "engine"),  # type: ignore[arg-type]
+        (lambda _: dataclasses.replace(CONFIG, engine="bullet"), "engine"),
         (
             lambda _: dataclasses.replace(CONFIG, contact_points=((0.0, 0.0, 0.05),)),
             "contact_points",

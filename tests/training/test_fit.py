@@ -128,18 +128,18 @@ class Slope(NetworkTask):
     learning rate."""
 
     def __init__(self, config: FitConfig) -> None:
-        self.config, self.module, self.weights = config, nn.Module(), list[float]()  # type: ignore[assignment]
+        self.config, self.module, self.weights = config, nn.Module(), list[float]()
         self.module.weight = nn.Parameter(torch.ones(1, 1, dtype=torch.float64))
 
     def batch(self, rng: np.random.Generator) -> Any:
-        self.weights.append(self.module.weight.item())  # type: ignore[operator]
+        self.weights.append(self.module.weight.item())
         return [None, None]
 
     def loss(self, part: Any) -> torch.Tensor:
-        return self.module.weight.sum()  # type: ignore[operator]
+        return self.module.weight.sum()
 
     def score(self) -> list[float]:
-        self.last = self.module.weight.item()  # type: ignore[operator]
+        self.last = self.module.weight.item()
         return [0.0] * 6
 
 

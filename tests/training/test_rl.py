@@ -68,7 +68,7 @@ def sac(tmp_path_factory):
 
 def training_of(folder: Path, algorithm: str) -> Training:
     """Resume from a checkpoint with an agent that was made with another seed."""
-    config = RLConfig(**TINY, algorithm=algorithm).resolved()  # type: ignore[arg-type]
+    config = RLConfig(**TINY, algorithm=algorithm).resolved()
     envs = make_envs(config.env_settings, config.envs, config.gamma)
     resumed = Training(folder, config, 0, build(config, envs, 1), envs)
     resumed.resume()
