@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -41,7 +40,7 @@ class Headless(FourFingerGrasp):
     ],
     ids=["pictures", "dict"],
 )
-def test_checkers(check: Any, settings: dict[str, Any]) -> None:
+def test_checkers(check, settings):
     gym.register("Headless-v0", entry_point=Headless, max_episode_steps=100)
     env = gym.make("Headless-v0", **settings).unwrapped
     check(env, skip_render_check="render_mode" not in settings)
@@ -52,7 +51,7 @@ def test_checkers(check: Any, settings: dict[str, Any]) -> None:
 SMALL: dict[str, Any] = {"pictures": {"size": (64, 48)}, "duration": 0.1}
 
 
-def test_pictures_without_a_render_mode() -> None:
+def test_pictures_without_a_render_mode():
     env = gym.make(ID, **SMALL)
     bare: Any = env.unwrapped
 
@@ -80,7 +79,7 @@ def test_pictures_without_a_render_mode() -> None:
     direct.close()
 
 
-def test_pictures_before_a_reset_and_after_close() -> None:
+def test_pictures_before_a_reset_and_after_close():
     env = gym.make(ID, render_mode="rgb_array", **SMALL)
     bare: Any = env.unwrapped
     assert bare.render().shape == (48, 64, 3)
@@ -94,7 +93,7 @@ def test_pictures_before_a_reset_and_after_close() -> None:
     env.close()
 
 
-def test_a_window_is_drawn_at_every_reset_and_step(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_window_is_drawn_at_every_reset_and_step(monkeypatch):
     """A window needs a display, so a list takes its pictures."""
     shown: list[Any] = []
     window = SimpleNamespace(of_scene=lambda scene: SimpleNamespace(show=shown.append))
@@ -115,7 +114,7 @@ def test_a_window_is_drawn_at_every_reset_and_step(monkeypatch: pytest.MonkeyPat
     env.close()
 
 
-def test_lists_of_pictures() -> None:
+def test_lists_of_pictures():
     env = gym.make(ID, render_mode="rgb_array_list", **SMALL)
     env.reset(seed=0)
     env.step(ZERO)
@@ -144,7 +143,7 @@ def test_lists_of_pictures() -> None:
         ({"max_episode_steps": -1, "duration": 0.1}, 5),
     ],
 )
-def test_an_episode_lasts_as_long_as_its_spec_says(settings: dict[str, Any], steps: int) -> None:
+def test_an_episode_lasts_as_long_as_its_spec_says(settings, steps):
     planned: list[float] = []
 
     def still(times: np.ndarray, rng: np.random.Generator, settings: object) -> np.ndarray:
@@ -174,9 +173,7 @@ def test_an_episode_lasts_as_long_as_its_spec_says(settings: dict[str, Any], ste
         ({"action_mode": "contact_force"}, ""),
     ],
 )
-def test_actions_without_effect_are_warned_of(
-    settings: dict[str, Any], reason: str, recwarn: pytest.WarningsRecorder
-) -> None:
+def test_actions_without_effect_are_warned_of(settings, reason, recwarn):
     gym.make(ID, **settings).close()
     assert len(recwarn) == bool(reason)
     if reason:
@@ -186,7 +183,7 @@ def test_actions_without_effect_are_warned_of(
         assert "action_mode='none'" in str(warning.message)
 
 
-def test_videos(tmp_path: Path) -> None:
+def test_videos(tmp_path):
     pytest.importorskip("moviepy", reason="the extra 'video' is not installed")
     env = gym.make(ID, duration=0.1, render_mode="rgb_array", pictures={"size": (64, 48)})
     env = gym.wrappers.RecordVideo(env, str(tmp_path / "videos"), disable_logger=True)
@@ -198,7 +195,7 @@ def test_videos(tmp_path: Path) -> None:
     assert video.stat().st_size > 500
 
 
-def test_torchrl() -> None:
+def test_torchrl():
     gym_env = pytest.importorskip("torchrl.envs.libs.gym").GymEnv
     env = gym_env(ID, frame_skip=2, duration=0.2)
     assert env.rollout(20).batch_size[0] == 5

@@ -57,7 +57,7 @@ def balanced(scene: core.Scene, target: np.ndarray = REST) -> np.ndarray:
     return made.arrays()["wrench"]
 
 
-def test_pose_error_against_scipy() -> None:
+def test_pose_error_against_scipy():
     """Position, orientation and velocities against the target's; small turns keep their digits."""
     rng = np.random.default_rng(0)
     target = motion_target("rotate", np.linspace(0.0, 1.0, 51), 0.3, 1.0)[10]
@@ -73,7 +73,7 @@ def test_pose_error_against_scipy() -> None:
     np.testing.assert_allclose(error[3:6], [1e-12, 0.0, 0.0], rtol=1e-6)
 
 
-def test_inertial_wrench_of_a_moving_target() -> None:
+def test_inertial_wrench_of_a_moving_target():
     """On the target the grasp must give what its motion needs: d(m v)/dt and dL/dt, here by
     differences."""
     inertia, step = ITEM.inertia_matrix, 1e-4
@@ -175,7 +175,7 @@ class Trial:
 
 @needs_bullet
 @pytest.mark.parametrize("finger", [1, 2])
-def test_a_finger_slips_off_and_comes_back(finger: int) -> None:
+def test_a_finger_slips_off_and_comes_back(finger):
     trial = Trial((finger,), range(51, 61), 200, duration=4.0)
     others = [k for k in range(4) if k != finger]
     alone = [tick for tick in trial.ticks if tick["fingers"] == others]
@@ -207,7 +207,7 @@ def test_a_finger_slips_off_and_comes_back(finger: int) -> None:
 
 
 @needs_bullet
-def test_lost_closure_ends_the_episode() -> None:
+def test_lost_closure_ends_the_episode():
     trial = Trial((1, 2, 3), range(51, 251), limits={"max_drift": 10.0, "max_tilt": 3.0})
     last = trial.infos[-1]
     assert (last["failure"], last["is_success"], last["force_closure"]) == (
@@ -226,7 +226,7 @@ def test_lost_closure_ends_the_episode() -> None:
 
 
 @needs_bullet
-def test_two_opposite_fingers_hold() -> None:
+def test_two_opposite_fingers_hold():
     """The wrench is within their reach: no moment about the line through them. Agent's steps, whose
     flow does not solve it, are no gaps."""
     trial = Trial((2, 3), range(51, 251), limits={"max_drift": 10.0, "max_tilt": 3.0})
@@ -240,7 +240,7 @@ def test_two_opposite_fingers_hold() -> None:
 
 
 @needs_bullet
-def test_gaps_of_force_closure_are_survived() -> None:
+def test_gaps_of_force_closure_are_survived():
     """Without gravity two fingers are pulled off twice and come back; the gaps together are longer
     than one may be.
 
@@ -255,7 +255,7 @@ def test_gaps_of_force_closure_are_survived() -> None:
     assert sum(not tick["closure"] for tick in trial.ticks) > 0.3 * 250
 
 
-def test_one_missed_tick_does_not_let_a_finger_go() -> None:
+def test_one_missed_tick_does_not_let_a_finger_go():
     """RELEASE counts ticks in a row: three single misses with contact between them keep the finger."""
     env = FourFingerGrasp()
     env.reset(seed=0)

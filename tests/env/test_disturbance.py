@@ -20,7 +20,7 @@ def rng(seed: int = 0) -> np.random.Generator:
     return np.random.default_rng(seed)
 
 
-def test_the_random_wrench_is_ornstein_uhlenbeck() -> None:
+def test_the_random_wrench_is_ornstein_uhlenbeck():
     keep = np.exp(-1.0 / 75.0)  # a correlation time of 75 ticks
     noise = rng(3).standard_normal((500, 6)) * np.sqrt(1.0 - keep**2) * np.repeat([0.6, 0.02], 3)
     noise[0] = 0.0
@@ -31,7 +31,7 @@ def test_the_random_wrench_is_ornstein_uhlenbeck() -> None:
 
 
 @pytest.mark.parametrize("length", [0.1, 0.0005])
-def test_impulses_deliver_their_momentum(length: float) -> None:
+def test_impulses_deliver_their_momentum(length):
     wrench = Impulses(2.0, 0.05, length, 0.4)(np.arange(25_000) * TICK, rng(1), EnvConfig())
     assert np.linalg.norm(wrench[:, :3], axis=1).max() <= 2.0 + 1e-9
     assert np.linalg.norm(wrench[:, 3:], axis=1).max() <= 0.05 + 1e-9
@@ -52,7 +52,7 @@ def test_impulses_deliver_their_momentum(length: float) -> None:
     np.testing.assert_allclose(direction.mean(axis=0), 0.0, atol=4.0 / np.sqrt(3 * len(first)))
 
 
-def test_short_waits_start_a_tick_apart() -> None:
+def test_short_waits_start_a_tick_apart():
     """So no row holds more than the momentum of one impulse, and most rows hold that of exactly
     one."""
     wrench = Impulses(2.0, 0.05, 0.1 * TICK, 0.3 * TICK)(
@@ -65,7 +65,7 @@ def test_short_waits_start_a_tick_apart() -> None:
         assert np.median(rows) == pytest.approx(whole, rel=1e-9)
 
 
-def test_short_waits_are_not_lengthened() -> None:
+def test_short_waits_are_not_lengthened():
     """An impulse of 5 ticks and a mean wait of 0.3 ticks: one in 5.3 ticks. Rows within one impulse
     share its direction."""
     wrench = Impulses(2.0, 0.05, 5.0 * TICK, 0.3 * TICK)(
@@ -80,7 +80,7 @@ def test_short_waits_are_not_lengthened() -> None:
     assert count == pytest.approx(5000 / 5.3, abs=4.0 * np.sqrt(5000 / 5.3) * 0.3 / 5.3 + 1.0)
 
 
-def test_gravity_tilts_from_rest() -> None:
+def test_gravity_tilts_from_rest():
     def tilted(seed: int, gravity: tuple[float, ...]) -> np.ndarray:
         settings = EnvConfig().override(gravity=gravity)
         return disturb(TiltingGravity(0.3, 2.0), np.arange(2001) * TICK, rng(seed), settings)[1]
@@ -108,7 +108,7 @@ def gust(times: np.ndarray, rng: np.random.Generator, settings: EnvConfig) -> np
     return wrench
 
 
-def test_any_function_is_a_disturbance() -> None:
+def test_any_function_is_a_disturbance():
     wrench, gravity = disturb(gust, TIMES, rng(), EnvConfig(object=ObjectDescription(mass=0.5)))
     assert not wrench[:250].any()
     assert (wrench[250:, 0] == 0.5 * rng().uniform(4.0, 5.0)).all()
@@ -124,7 +124,7 @@ def test_any_function_is_a_disturbance() -> None:
     assert 0.2 * 4.0 - 0.1 < pushes[-1] - pushes[0] < 0.2 * 5.0 + 0.1
 
 
-def test_gravity_of_a_disturbance_lasts_one_episode() -> None:
+def test_gravity_of_a_disturbance_lasts_one_episode():
     downs = [np.array([0.0, -5.0, 0.0]), np.array([3.0, -9.81, 0.0]), np.array([0.0, -9.81, 0.0])]
 
     def made(times: np.ndarray, rng: np.random.Generator, settings: EnvConfig) -> Disturbed:

@@ -19,7 +19,7 @@ ZERO = np.zeros(6, dtype=np.float32)
 DOC = FourFingerGrasp.__doc__ or ""
 
 
-def test_observations_match_the_docstring() -> None:
+def test_observations_match_the_docstring():
     rows = [line.strip() for line in DOC.splitlines()]
     env = FourFingerGrasp()
     table = []
@@ -43,7 +43,7 @@ def test_observations_match_the_docstring() -> None:
     assert f"({index},)" in DOC
 
 
-def test_observations_are_the_state_of_the_scene() -> None:
+def test_observations_are_the_state_of_the_scene():
     """At reset and after some steps; a dict has the same numbers."""
     env = FourFingerGrasp(disturbance="random", observation="dict")
     other = FourFingerGrasp(disturbance="random")
@@ -95,7 +95,7 @@ def test_observations_are_the_state_of_the_scene() -> None:
     [{}, {"controller.kind": "pd"}, {"action_mode": "contact_force"}, {"agent.info": "numbers"}],
     ids=str,
 )
-def test_info_keys_are_documented_and_constant(settings: dict[str, Any]) -> None:
+def test_info_keys_are_documented_and_constant(settings):
     """Readers that make tensors of infos ask each value for its dtype."""
     env = FourFingerGrasp(**settings)
     zero = np.zeros(env.action_space.shape or (), dtype=np.float32)
@@ -125,7 +125,7 @@ def iterations(steps: int = 4, action: float = 0.0, **settings: Any) -> list[int
     ]
 
 
-def test_actions_move_starts_and_not_the_optimum() -> None:
+def test_actions_move_starts_and_not_the_optimum():
     plain = iterations()
     adjusted = iterations(action=-1.0)
     assert plain == iterations(action=-1.0, agent={"action_scale": 1e-9})
@@ -138,14 +138,14 @@ def test_actions_move_starts_and_not_the_optimum() -> None:
         assert episode(5, method=method)[1][-1]["objective"] == pytest.approx(base, rel=3e-4)
 
 
-def test_actions_may_be_ignored() -> None:
+def test_actions_may_be_ignored():
     ignored, zero = (
         episode(3, action_mode="none", action=np.full(1, a, np.float32))[0] for a in (1.0, 0.0)
     )
     np.testing.assert_array_equal(ignored, zero)
 
 
-def test_contact_forces_as_actions_hold_the_object() -> None:
+def test_contact_forces_as_actions_hold_the_object():
     """The optimum of the solver, given as an action, is commanded without a solver, and the object
     stays."""
     force = episode(5, disturbance="none")[1][-1]["commanded_force"]
@@ -165,7 +165,7 @@ def test_contact_forces_as_actions_hold_the_object() -> None:
     np.testing.assert_array_equal(far, edge)  # clipped to the box
 
 
-def test_broken_rules_end_the_episode() -> None:
+def test_broken_rules_end_the_episode():
     broken = False
     calls = []
 
@@ -193,7 +193,7 @@ def test_broken_rules_end_the_episode() -> None:
     assert iterations(5, initial_force="previous")[-1] <= 1
 
 
-def test_the_wrench_of_a_reset_lasts_one_episode() -> None:
+def test_the_wrench_of_a_reset_lasts_one_episode():
     wrench = np.array([0.5, 0.2, -0.4, 0.02, 0.03, -0.04])
     env = FourFingerGrasp(disturbance="random")
     env.reset(seed=0, options={"wrench": wrench})
@@ -207,7 +207,7 @@ def test_the_wrench_of_a_reset_lasts_one_episode() -> None:
     env.close()
 
 
-def test_pictures_change_nothing() -> None:
+def test_pictures_change_nothing():
     settings: dict[str, Any] = {"disturbance": "random", "randomize": ("mass",)}
     env = FourFingerGrasp(render_mode="rgb_array", **settings)
     rows = [episode(5, **settings)[0]]
@@ -226,7 +226,7 @@ def test_pictures_change_nothing() -> None:
     np.testing.assert_array_equal(rows[0], rows[2])
 
 
-def test_pictures_are_in_the_world_frame() -> None:
+def test_pictures_are_in_the_world_frame():
     def push(times: np.ndarray, rng: np.random.Generator, settings: Any) -> np.ndarray:
         return np.where(times[:, None] > 0.5, [300.0, 0.0, 0.0, 0.0, 0.0, 0.0], 0.0)
 

@@ -95,7 +95,7 @@ def estimates(trial: Trial, time: float = 0.0, noise: float = 0.0) -> np.ndarray
     return np.array(out)
 
 
-def test_constant_wrenches_are_found_at_once() -> None:
+def test_constant_wrenches_are_found_at_once():
     wrench = np.tile([1.0, 0.5, -0.6, -0.01, 0.02, 0.005], (100, 1))
     trial = hold(wrench, 0)
     raw = estimates(trial)
@@ -108,7 +108,7 @@ def test_constant_wrenches_are_found_at_once() -> None:
     np.testing.assert_allclose(slow[:, 0], 1.0 - np.exp(-np.arange(101) * TICK / 0.05), atol=0.02)
 
 
-def test_spin_is_no_wrench_and_payload_a_weight() -> None:
+def test_spin_is_no_wrench_and_payload_a_weight():
     """Without the change of R I R^T omega the gyroscopic moment would be taken for a wrench."""
     quiet = estimates(hold(np.zeros((100, 6)), 0, spin=(6.0, 5.0, 0.0)))
     gyroscopic = np.cross([6.0, 5.0, 0.0], INERTIA @ [6.0, 5.0, 0.0])
@@ -117,7 +117,7 @@ def test_spin_is_no_wrench_and_payload_a_weight() -> None:
     np.testing.assert_allclose(heavy[150:, :3].mean(axis=0), 0.5 * MASS * GRAVITY, atol=0.03)
 
 
-def test_filters_trade_noise_for_lag() -> None:
+def test_filters_trade_noise_for_lag():
     """5 % of the thumb's 6 N and the fingers' 2 N is 0.34 N per axis; the best filter is between
     none and a slow one."""
     wrench = RandomWrench()(TICK * np.arange(500), np.random.default_rng(1), EnvConfig())
@@ -140,7 +140,7 @@ def look(made: core.Controller, wrench: np.ndarray, noise: np.ndarray) -> Snapsh
     return Snapshot(**made.seen())
 
 
-def test_noise_statistics() -> None:
+def test_noise_statistics():
     scene, truth = scene_alone(fingers=2)
     truth.forces[:] = forces = np.array([[3.0, 0.0, 4.0], [0.0, 0.0, 0.0]])
     sensors = core.SensorSettings()
@@ -164,7 +164,7 @@ def test_noise_statistics() -> None:
 
 
 @pytest.mark.parametrize(("late", "later"), [(0, 2), (1, 0), (5, 2)])
-def test_delays(late: int, later: int) -> None:
+def test_delays(late, later):
     """The scene and forces come `late` ticks late, measured wrenches `later` ticks more; before the
     first tick it stood still."""
     scene, truth = scene_alone()
@@ -182,7 +182,7 @@ def test_delays(late: int, later: int) -> None:
             np.testing.assert_array_equal(made.arrays()["wrench"], known)  # of a body without mass
 
 
-def test_late_measurements_are_extrapolated() -> None:
+def test_late_measurements_are_extrapolated():
     """A free object turns and drifts at constant speed, one joint moves slowly; measurements are 20
     ms late."""
     late = 5

@@ -44,7 +44,7 @@ def whole(drift: float = np.inf, steps: int = 100, **settings: Any) -> list[dict
     ],
     ids=str,
 )
-def test_disturbances_are_held_and_motions_followed(settings: dict[str, Any]) -> None:
+def test_disturbances_are_held_and_motions_followed(settings):
     """Drift below 1 mm, no contact lost, and measured forces are the commanded ones: 0.05 N is 1 %
     of the thumb's force."""
     infos = whole(1e-3, 200 if "task" in settings else 100, **settings)
@@ -55,7 +55,7 @@ def test_disturbances_are_held_and_motions_followed(settings: dict[str, Any]) ->
     assert np.percentile([info["force_error"] for info in infos], 95) < 0.05
 
 
-def test_payloads_stretch_the_pose_spring() -> None:
+def test_payloads_stretch_the_pose_spring():
     infos = whole(0.02, 200, task=Payload())
     assert (infos[0]["object_mass"], infos[-1]["object_mass"]) == (0.2, pytest.approx(0.4))
     assert infos[-1]["drift"] == pytest.approx(9.81 * 0.2 / (0.2 * 30.0**2), rel=0.1)
@@ -79,7 +79,7 @@ def test_payloads_stretch_the_pose_spring() -> None:
     ],
     ids=["light", "long fingers"],
 )
-def test_light_objects_do_not_creep(hand: str, settings: dict[str, Any]) -> None:
+def test_light_objects_do_not_creep(hand, settings):
     wind = {"name": "random", "force": 0.6, "moment": 0.02}
     last = episode(None, hand=hand, disturbance=wind, duration=2.0, **settings)[1][-1]
     assert last["is_success"]
@@ -88,7 +88,7 @@ def test_light_objects_do_not_creep(hand: str, settings: dict[str, Any]) -> None
 
 
 @pytest.mark.parametrize("controller", CONTROLLERS)
-def test_controllers_hold(controller: str) -> None:
+def test_controllers_hold(controller):
     infos = whole(controller={"kind": controller}, disturbance="none")
     solved = [info["iterations"] > 0 for info in infos]
     assert all(solved) if controller == "optimized" else not any(solved)
@@ -97,7 +97,7 @@ def test_controllers_hold(controller: str) -> None:
 
 
 @pytest.mark.parametrize("budget", [0, 3])
-def test_budgets_leave_the_force_valid(budget: int) -> None:
+def test_budgets_leave_the_force_valid(budget):
     infos = episode(60, seed=2, solver={"max_iterations": budget}, disturbance="random")[1]
     for info in infos:
         assert info["iterations"] <= budget
@@ -107,7 +107,7 @@ def test_budgets_leave_the_force_valid(budget: int) -> None:
     assert infos[-1]["drift"] < 1e-3
 
 
-def test_late_wrenches_move_the_object() -> None:
+def test_late_wrenches_move_the_object():
     """The pose spring is m (30 rad/s)^2 = 180 N/m: an unknown 1 N moves it by 5.6 mm, 4 ms late by
     much less."""
     still, late, never = (
@@ -124,7 +124,7 @@ def test_late_wrenches_move_the_object() -> None:
 @pytest.mark.parametrize(
     "settings", [{"disturbance": "random"}, {"task": "payload"}, {"sensors.tactile_noise": 0.05}]
 )
-def test_an_estimated_wrench_holds(settings: dict[str, Any]) -> None:
+def test_an_estimated_wrench_holds(settings):
     # unlike with "measured", the estimate contains the payload
     steps = 200 if "task" in settings else 100
     infos = whole(steps=steps, **{"sensors.wrench": "estimated"}, **settings)
@@ -142,7 +142,7 @@ def test_an_estimated_wrench_holds(settings: dict[str, Any]) -> None:
     ],
     ids=str,
 )
-def test_imperfect_sensors_and_motors_hold(settings: dict[str, Any]) -> None:
+def test_imperfect_sensors_and_motors_hold(settings):
     first, infos = episode(40, **settings)
     assert infos[-1]["is_success"]
     exact = {name: value for name, value in settings.items() if name == "sensors.wrench"}
@@ -152,7 +152,7 @@ def test_imperfect_sensors_and_motors_hold(settings: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("hand", sorted(name for name, make in HANDS.items() if make().placed))
-def test_every_hand_holds(hand: str) -> None:
+def test_every_hand_holds(hand):
     assert whole(1e-3, hand=hand)[-1]["measured_force"].shape == (HANDS[hand]().finger_count, 3)
 
 
@@ -167,11 +167,11 @@ def test_every_hand_holds(hand: str) -> None:
     ],
     ids=str,
 )
-def test_every_object_is_held(settings: dict[str, Any]) -> None:
+def test_every_object_is_held(settings):
     assert whole(1e-3, **settings)[-1]["object_shape"] == settings.get("shape", "cuboid")
 
 
-def test_rates_that_differ_hold() -> None:
+def test_rates_that_differ_hold():
     infos = episode(None, agent={"rate": 25}, engine={"name": "bullet", "rate": 1000})[1]
     assert (len(infos), infos[-1]["is_success"], infos[-1]["time"]) == (
         50,

@@ -21,7 +21,7 @@ ZERO = np.zeros(6, dtype=np.float32)
 STRONG = RandomWrench(force=2.0, moment=0.06)
 
 
-def test_pushes_keep_their_direction() -> None:
+def test_pushes_keep_their_direction():
     """A moment that the controller does not know turns the object about z; the first push points to
     +x."""
     env = FourFingerGrasp(task="six_directions", sensors={"wrench": "none"})
@@ -64,7 +64,7 @@ def sliding(env: FourFingerGrasp) -> np.ndarray:
     ("limits", "fault"),
     [({}, ""), ({"max_slide": 1e-4}, "slid"), ({"max_overlap": 1e-6}, "overlap")],
 )
-def test_what_counts_as_held_is_true(limits: dict[str, float], fault: str) -> None:
+def test_what_counts_as_held_is_true(limits, fault):
     """Sliding and overlap, from the states of every control tick; each limit tells an episode from
     a success."""
     env = FourFingerGrasp(
@@ -95,7 +95,7 @@ def test_what_counts_as_held_is_true(limits: dict[str, float], fault: str) -> No
 
 
 @needs_bullet
-def test_links_that_push_the_object_are_no_hold() -> None:
+def test_links_that_push_the_object_are_no_hold():
     """The fourth finger has no fingertip that counts, and its middle joint presses it on the
     object."""
     hand = HandDescription.four_finger()

@@ -74,7 +74,7 @@ def shake(scene: Scene, seed: int, steps: int) -> None:
 
 
 @pytest.mark.parametrize("settings", OBJECTS, ids=str)
-def test_forces_carry_the_weight_at_every_reset(tmp_path: Path, settings: dict[str, Any]) -> None:
+def test_forces_carry_the_weight_at_every_reset(tmp_path, settings):
     env = make(tmp_path, **settings)
     mass = settings.get("mass", 0.2)
     first = start(env, mass)
@@ -138,14 +138,14 @@ class Scripted:
         (take_over, 4, "linear"),
     ],
 )
-def test_closing_ends_after_quiet_ticks_in_a_row(settle: Any, ticks: int, disturbs: str) -> None:
+def test_closing_ends_after_quiet_ticks_in_a_row(settle, ticks, disturbs):
     few = [True] * (ticks - 1)
     scene: Any = Scripted([*few, False, *few, False, True, False, *few, True, True, True], disturbs)
     settle(scene, scene.loop)
     assert scene.ticks == (ticks - 1) + 1 + (ticks - 1) + 1 + 1 + 1 + ticks
 
 
-def test_other_objects_may_need_another_place() -> None:
+def test_other_objects_may_need_another_place():
     env = FourFingerGrasp(
         hand=gripper(4, 2),
         shape="cuboid",

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -39,14 +37,7 @@ def rewards(draw: st.DrawFn) -> RewardSettings:
     change=share,
     gamma=st.floats(0.0, 1.0, exclude_min=True),
 )
-def test_holding_on_pays_more_than_letting_go(
-    reward: RewardSettings,
-    iterations: float,
-    force: float,
-    torque: float,
-    change: float,
-    gamma: float,
-) -> None:
+def test_holding_on_pays_more_than_letting_go(reward, iterations, force, torque, change, gamma):
     held, dropped = (
         reward.terms(kept, iterations, (force, torque, change)) for kept in (True, False)
     )
@@ -68,7 +59,7 @@ def test_holding_on_pays_more_than_letting_go(
     ],
     ids=str,
 )
-def test_terms_are_recomputed(settings: dict[str, Any]) -> None:
+def test_terms_are_recomputed(settings):
     """At one control tick per step."""
     env = FourFingerGrasp(
         disturbance="random", limits={"max_drift": 10.0}, **{"agent.rate": 250}, **settings
@@ -108,7 +99,7 @@ def test_terms_are_recomputed(settings: dict[str, Any]) -> None:
     env.close()
 
 
-def test_lost_closure_costs_the_most() -> None:
+def test_lost_closure_costs_the_most():
     env = FourFingerGrasp(limits={"max_drift": 10.0, "max_tilt": 10.0, "max_contact_gap": 10.0})
     env.reset(seed=0, options={"wrench": [0.0, 0.0, 0.0, 0.0, 0.0, 3.0]})
     for _ in range(50):

@@ -23,7 +23,7 @@ from grasp_env.task.tasks import TASKS
 ZERO = np.zeros(6, dtype=np.float32)
 
 
-def test_settings_are_described_once() -> None:
+def test_settings_are_described_once():
     records = {
         EnvConfig,
         *(kind for _, kind, _ in described(EnvConfig)),
@@ -50,7 +50,7 @@ def test_settings_are_described_once() -> None:
     assert not set(KEYWORDS.values()) - set(all_settings())
 
 
-def test_all_ways_give_the_same_settings() -> None:
+def test_all_ways_give_the_same_settings():
     wanted = EnvConfig(
         object=ObjectDescription("sphere", (0.08,), mass=0.15),
         disturbance=Impulses(force=2.0),
@@ -99,7 +99,7 @@ def test_all_ways_give_the_same_settings() -> None:
     env.close()
 
 
-def test_json_keeps_everything(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_json_keeps_everything(monkeypatch):
     @dataclass(frozen=True)
     class Wind(RandomWrench):
         """A disturbance of one more entry of the table."""
@@ -129,7 +129,7 @@ def test_json_keeps_everything(monkeypatch: pytest.MonkeyPatch) -> None:
     assert as_config(told).disturbance == Wind(force=1.0)
 
 
-def test_what_is_drawn_reaches_the_episode() -> None:
+def test_what_is_drawn_reaches_the_episode():
     ranges: dict[str, Any] = {
         "mass": lambda rng: 0.1 + 0.1 * rng.random(),
         "friction": (0.4, 0.6),
@@ -188,7 +188,7 @@ def test_what_is_drawn_reaches_the_episode() -> None:
     assert usual == random_object(np.random.default_rng(7))
 
 
-def test_what_is_kept_does_not_change_what_is_drawn() -> None:
+def test_what_is_kept_does_not_change_what_is_drawn():
     base = ObjectDescription("cylinder", (0.08, 0.1), inertia=(2e-4, 2e-4, 2e-4))
 
     def drawn(*names: str) -> EnvConfig:
@@ -205,7 +205,7 @@ def test_what_is_kept_does_not_change_what_is_drawn() -> None:
     assert drawn("shape").object.shape != drawn("size").object.shape == "cylinder"
 
 
-def test_motors_deliver_a_part_of_the_command() -> None:
+def test_motors_deliver_a_part_of_the_command():
     """The hold takes 0.4 N m of 12, so motors that deliver 40 times the command are cut."""
     largest = []
     for strength in (0.9, 40.0):

@@ -6,7 +6,6 @@ import copy
 import json
 import pickle
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -123,7 +122,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
 @pytest.mark.filterwarnings("error")
 @pytest.mark.filterwarnings("ignore::grasp_env.errors.GraspWarning")
 @pytest.mark.parametrize("name", SETTINGS)
-def test_json_makes_the_same_environment(name: str) -> None:
+def test_json_makes_the_same_environment(name):
     env = gym.make(ID, **SETTINGS[name])
     bare: Any = env.unwrapped
     assert env.spec is not None
@@ -148,7 +147,7 @@ def test_json_makes_the_same_environment(name: str) -> None:
 
 
 @needs_bullet
-def test_settings_of_the_engine_and_a_mesh_survive_json(tmp_path: Path) -> None:
+def test_settings_of_the_engine_and_a_mesh_survive_json(tmp_path):
     path = tmp_path / "brick.stl"
     trimesh.creation.box((60, 80, 70)).export(path)
     item = ObjectDescription.from_mesh(path, scale=0.001, friction=0.6)
@@ -159,7 +158,7 @@ def test_settings_of_the_engine_and_a_mesh_survive_json(tmp_path: Path) -> None:
         assert rows(made) == rows(env)
 
 
-def test_many_environments_have_json() -> None:
+def test_many_environments_have_json():
     given: dict[str, Any] = {
         "disturbance": RandomWrench(force=0.3),
         "hand": FOUR.moved((0.0, 0.001, 0.0)),
@@ -184,7 +183,7 @@ def test_many_environments_have_json() -> None:
     assert made.spec == env.spec
 
 
-def test_lengths_of_episodes_can_be_changed() -> None:
+def test_lengths_of_episodes_can_be_changed():
     """`gym.make` completes the environment of a specification, too."""
     env = gym.make(ID, disturbance="none")
     for spec in (env.spec, restored(env.spec)):
@@ -252,7 +251,7 @@ WITHOUT: list[tuple[dict[str, Any], str]] = [
 
 
 @pytest.mark.parametrize(("given", "message"), WITHOUT, ids=range(len(WITHOUT)))
-def test_what_has_no_json_is_named(given: dict[str, Any], message: str) -> None:
+def test_what_has_no_json_is_named(given, message):
     env = gym.make(ID, object=ObjectDescription("sphere"), **given)
     assert env.spec is not None
     with pytest.raises(TypeError, match=message):
@@ -271,7 +270,7 @@ def test_what_has_no_json_is_named(given: dict[str, Any], message: str) -> None:
 @pytest.mark.filterwarnings(
     "ignore:Implicitly cleaning up:ResourceWarning"
 )  # Minari leaves this to Python
-def test_minari_recovers_an_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_minari_recovers_an_environment(tmp_path, monkeypatch):
     minari = pytest.importorskip("minari")
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     env = gym.make(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -28,7 +27,7 @@ LOADS = np.array([[0.0, -1.5, 0.0, 0.0, 0.0, 0.0], [1.0, -1.5, 0.5, 0.0, 0.03, 0
 
 
 @pytest.fixture
-def careless(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def careless(monkeypatch):
     """Place hands without regard to the directions in which their motors push."""
     monkeypatch.setattr(placing, "_MADE", 0.0)
     monkeypatch.setattr(sites, "_PUSHED", 0.0)
@@ -37,7 +36,7 @@ def careless(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     placing._placed.cache_clear()
 
 
-def test_structure_carries_what_takes_no_torque() -> None:
+def test_structure_carries_what_takes_no_torque():
     """The direction in which two motors cannot push, found from their Jacobian alone, and forces
     that are optimised one by one."""
     scene = Scene(SceneConfig())
@@ -74,7 +73,7 @@ def test_structure_carries_what_takes_no_torque() -> None:
 
 
 @pytest.mark.usefixtures("careless")
-def test_structure_is_reported_once() -> None:
+def test_structure_is_reported_once():
     """Three fingers in planes press a ball through their structure; four do with less."""
     env = FourFingerGrasp(hand=gripper(3, 2), **BALL)
     with pytest.warns(
@@ -96,7 +95,7 @@ def test_structure_is_reported_once() -> None:
 
 @needs_bullet
 @pytest.mark.usefixtures("careless")
-def test_bullet_holds_with_fingers_of_one_motor(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bullet_holds_with_fingers_of_one_motor(monkeypatch):
     """It does not with the sweeps that suffice for other hands."""
     wind = {"name": "random", "force": 2.0, "moment": 0.06}
     for held in (True, False):

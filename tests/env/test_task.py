@@ -35,7 +35,7 @@ def arrays(made: Plan) -> tuple[np.ndarray, ...]:
 
 
 @pytest.mark.parametrize("settings", KINDS, ids=str)
-def test_longer_episodes_have_the_same_plan(settings: dict[str, Any]) -> None:
+def test_longer_episodes_have_the_same_plan(settings):
     made = plan(**settings)
     again = plan(**settings)
     other = plan(seed=1, **settings)
@@ -60,7 +60,7 @@ def test_longer_episodes_have_the_same_plan(settings: dict[str, Any]) -> None:
     assert len({generator.random() for generator in generators}) == 1
 
 
-def test_payload_changes_the_mass_smoothly() -> None:
+def test_payload_changes_the_mass_smoothly():
     factor = plan(task=Payload(0.5, 1.2)).mass_factor
     t = np.arange(1001) / 250.0
     assert (factor[t <= 1.2] == 1.0).all()
@@ -68,7 +68,7 @@ def test_payload_changes_the_mass_smoothly() -> None:
     assert (np.diff(factor) <= 0.0).all()
 
 
-def test_six_pushes_in_order_with_short_ramps() -> None:
+def test_six_pushes_in_order_with_short_ramps():
     tick = 0.004
     times = np.arange(3251) * tick  # 13 s
     push = SixDirections().push(times, tick, 0.2)
@@ -88,7 +88,7 @@ def test_six_pushes_in_order_with_short_ramps() -> None:
     np.testing.assert_allclose(short[round(0.09 / tick)], [2.0, 0.0, 0.0], atol=1e-12)
 
 
-def test_tasks_fill_in_their_own_limits_and_sizes() -> None:
+def test_tasks_fill_in_their_own_limits_and_sizes():
     pushed, usual = (
         EnvConfig(task=task).resolved().limits for task in (SixDirections(push_time=0.5), Hold())
     )
@@ -110,7 +110,7 @@ def difference(values: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("motion", m.MOTIONS)
 @pytest.mark.parametrize("period", [0.7, 1.5, 9.0])
-def test_motions_have_exact_derivatives(motion: str, period: float) -> None:
+def test_motions_have_exact_derivatives(motion, period):
     target = m.motion_target(motion, TIMES, 0.3, period)
     # central differences miss by STEP^2 / 6 of the next derivative but one, and by STEP / 2 of the
     # next where that jumps
@@ -129,7 +129,7 @@ def test_motions_have_exact_derivatives(motion: str, period: float) -> None:
         np.testing.assert_allclose(target[[0, -1]], m.resting_target(2), atol=1e-12)
 
 
-def test_motions_reach_their_size_and_rest() -> None:
+def test_motions_reach_their_size_and_rest():
     peak = {motion: np.abs(m.motion_target(motion, TIMES, 0.2, 1.0)) for motion in m.MOTIONS}
     assert peak["lift"][:, 1].max() == pytest.approx(0.2)
     assert peak["shake"][:, 0].max() == pytest.approx(0.2, rel=1e-6)

@@ -136,7 +136,7 @@ def path(seed: int, count: int) -> list[tuple[np.ndarray, np.ndarray, np.ndarray
         ("conic", None),
     ],
 )
-def test_an_agents_step_is_a_call_of_the_optimizer(method: str, initial: str | None) -> None:
+def test_an_agents_step_is_a_call_of_the_optimizer(method, initial):
     loop = Loop(tolerance=1e-6, method=method, initial=initial)
     for positions, normals, wrench in path(0, 10):
         loop.place(positions, normals)
@@ -148,7 +148,7 @@ def test_an_agents_step_is_a_call_of_the_optimizer(method: str, initial: str | N
         assert (loop.core.effort.followed, loop.core.effort.limited) == (0, 0)
 
 
-def test_between_steps_commands_are_optima() -> None:
+def test_between_steps_commands_are_optima():
     """For moving contacts and any touching fingers, Newton from the last command ends at the
     current optimum, also after lost closure."""
     loop = Loop()
@@ -177,7 +177,7 @@ def test_between_steps_commands_are_optima() -> None:
 
 
 @pytest.mark.parametrize("due", [True, False])
-def test_changes_of_forces_are_bounded(due: bool) -> None:
+def test_changes_of_forces_are_bounded(due):
     """From 5 N at each finger to the optimum, on contacts that stay: balance requires no change, so
     the bound is that of the force."""
     most = 0.05
@@ -202,7 +202,7 @@ def test_changes_of_forces_are_bounded(due: bool) -> None:
     assert ticks == np.ceil(way / most)
 
 
-def test_the_rate_is_a_change_in_every_tick() -> None:
+def test_the_rate_is_a_change_in_every_tick():
     """A second of ticks of the largest change is the rate [N/s]."""
     config = EnvConfig().override(agent={"rate": 25}, controller={"rate": 125, "force_rate": 30.0})
     settings = control_settings(
@@ -211,7 +211,7 @@ def test_the_rate_is_a_change_in_every_tick() -> None:
     assert sum([settings.most_change] * 125) == pytest.approx(30.0)
 
 
-def test_the_deepest_overlap_counts() -> None:
+def test_the_deepest_overlap_counts():
     """A gap is negative where a tip is inside the object; distance from it does not count."""
     loop = Loop()
     told = []
@@ -231,7 +231,7 @@ def test_the_deepest_overlap_counts() -> None:
     assert loop.core.outcome(TARGET, np.empty(12), np.empty((4, 3))).overlap == 0.0
 
 
-def test_adjustments_are_added_and_repaired() -> None:
+def test_adjustments_are_added_and_repaired():
     """The start is the force of least Phi between the method's own and the adjusted one, balanced."""
     loop = Loop(method="newton", initial="linear_combination", max_iterations=0)
     basis = reference_basis(GRASP)
@@ -262,7 +262,7 @@ def test_adjustments_are_added_and_repaired() -> None:
 
 @pytest.mark.parametrize("grasp", [GRASP, SOFT], ids=["hard", "soft"])
 @pytest.mark.parametrize("due", [True, False])
-def test_forces_are_found_within_the_limits(due: bool, grasp: Grasp) -> None:
+def test_forces_are_found_within_the_limits(due, grasp):
     """Torques, of torsion too, of the optimum where these are within the limits, else of Newton
     within them, else of the least excess."""
     soft = grasp is SOFT
@@ -313,7 +313,7 @@ def test_forces_are_found_within_the_limits(due: bool, grasp: Grasp) -> None:
 
 
 @pytest.mark.parametrize("touching", [(1, 1, 0, 0), (1, 0, 0, 0), (0, 1, 1, 1)])
-def test_lost_closure_is_the_elastic_answer(touching: tuple[int, ...]) -> None:
+def test_lost_closure_is_the_elastic_answer(touching):
     """Thumb and one finger, one finger, or the three of one side: inside the cones, with the least
     imbalance."""
     loop = Loop(method="reduced_flow")
@@ -351,9 +351,7 @@ def test_lost_closure_is_the_elastic_answer(touching: tuple[int, ...]) -> None:
 
 
 @pytest.mark.parametrize("fingers", [(1, 1, 1, 1), (1, 1, 1, 0)])
-def test_squeezes_are_internal_and_balanced(
-    fingers: tuple[int, ...],
-) -> None:
+def test_squeezes_are_internal_and_balanced(fingers):
     """20 N of the planned contacts' internal force, turned with the frames."""
     loop = Loop(squeeze=20.0)
     loop.core.hold = core.Hold.squeeze

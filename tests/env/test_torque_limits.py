@@ -23,7 +23,7 @@ def weak(limit: float) -> HandDescription:
     return replace(hand, links=tuple(replace(link, torque_limit=limit) for link in hand.links))
 
 
-def test_wide_limits_cost_nothing() -> None:
+def test_wide_limits_cost_nothing():
     """0.68 N m: the strongest pushes take 0.695 without limits; the object stays as it does with
     strong motors."""
     _, infos = episode(None, seed=0, hand=weak(0.68), contact_points=POINTS, task=PUSHES)
@@ -37,7 +37,7 @@ def test_wide_limits_cost_nothing() -> None:
     assert 11.0 < min(info["torque_margin"] for info in strong) < 12.0
 
 
-def test_a_shared_joint_keeps_its_limit() -> None:
+def test_a_shared_joint_keeps_its_limit():
     """The outer knuckles are coupled to one motor of 0.02 N m, of which pushes would take 0.029:
     rows of two contacts at once."""
     hand = HandDescription.four_finger()

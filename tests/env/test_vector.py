@@ -39,7 +39,7 @@ def rollout(env: gym.Env[Any, Any], seed: int, steps: int = 10) -> bytes:
 @pytest.mark.parametrize(
     "settings", [RANDOM, OBJECTS, NOISY, {"task": "payload", "disturbance": "tilting_gravity"}]
 )
-def test_same_bits_whatever_came_before(settings: dict[str, Any]) -> None:
+def test_same_bits_whatever_came_before(settings):
     env = FourFingerGrasp(**settings)
     first = rollout(env, 3)
     objects = [env.scene.config.object]
@@ -82,7 +82,7 @@ def vector_rows(kind: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("kind", ["sync", "async fork", "async spawn", "sb3", "sb3 fork"])
-def test_vectors_agree_with_single_ones(kind: str) -> None:
+def test_vectors_agree_with_single_ones(kind):
     rows = vector_rows(kind)
     for place, seed in enumerate((3, 4)):
         env = gym.make(ENV, **NOISY)

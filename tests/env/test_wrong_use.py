@@ -107,7 +107,7 @@ WRONG: list[tuple[str, dict[str, Any], str]] = [
 
 
 @pytest.mark.parametrize(("call", "given", "message"), WRONG, ids=range(len(WRONG)))
-def test_wrong_input_is_named(call: str, given: dict[str, Any], message: str) -> None:
+def test_wrong_input_is_named(call, given, message):
     with pytest.raises(GraspError, match=message):
         CALLS[call](**given)
 
@@ -123,7 +123,7 @@ def test_wrong_input_is_named(call: str, given: dict[str, Any], message: str) ->
         ("mas", "got an unexpected keyword argument 'mas': did you mean 'mass'"),
     ],
 )
-def test_unknown_keywords_name_the_likely_one(name: str, meant: str) -> None:
+def test_unknown_keywords_name_the_likely_one(name, meant):
     for call in (
         EnvConfig().override,
         lambda **given: gym.make("grasp_env:FourFingerGrasp-v0", **given),
@@ -172,9 +172,7 @@ def connections() -> int:
     ],
     ids=range(11),
 )
-def test_what_cannot_be_held_or_shown_opens_nothing(
-    monkeypatch: pytest.MonkeyPatch, settings: Any, message: str
-) -> None:
+def test_what_cannot_be_held_or_shown_opens_nothing(monkeypatch, settings, message):
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     before = connections()
@@ -183,7 +181,7 @@ def test_what_cannot_be_held_or_shown_opens_nothing(
     assert connections() == before
 
 
-def test_wrong_calls_change_nothing() -> None:
+def test_wrong_calls_change_nothing():
     before = connections()
     env = FourFingerGrasp(disturbance="random", duration=0.1)
     rows = []
@@ -232,9 +230,7 @@ FAR = {"max_drift": 1e9, "max_tilt": 10.0, "max_contact_gap": 1e9}
         *((FAR, [push, push, 0, 0, 0, push], ("simulation_diverged",)) for push in (1e5, 1e12)),
     ],
 )
-def test_a_lost_object_ends_the_episode(
-    limits: Any, wrench: list[float], failures: tuple[str, ...]
-) -> None:
+def test_a_lost_object_ends_the_episode(limits, wrench, failures):
     env = FourFingerGrasp(limits=limits)
     calm = env.reset(seed=0)[0]
     env.reset(seed=0, options={"wrench": wrench})
@@ -256,7 +252,7 @@ def test_a_lost_object_ends_the_episode(
     env.close()
 
 
-def test_a_reset_gives_up() -> None:
+def test_a_reset_gives_up():
     env = FourFingerGrasp(randomize={"mass": (60.0, 90.0), "friction": (0.011, 0.012)})
     with pytest.raises(SimulationError, match="random objects could be held"):
         env.reset(seed=0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,6 @@ from hands import grasp_torques
 
 from grasp_env.sim import BulletEngine, MujocoEngine, ObjectDescription, Scene
 from grasp_env.sim.config import SceneConfig
-from grasp_env.sim.engine import EngineSettings
 
 SQUEEZE = np.array([1.0, 0.4, 0.3, 0.3])  # normal forces of the reference grasp that balance
 OBJECT = ("shape", "size", "mass", "friction", "inertia", "mesh")
@@ -61,7 +59,7 @@ class Holder:
 
 
 @pytest.fixture(params=[BulletEngine(), MujocoEngine()], ids=lambda engine: engine.name)
-def engine(request: pytest.FixtureRequest) -> EngineSettings:
+def engine(request):
     """Each engine that is installed."""
     module = {"bullet": "pybullet", "mujoco": "mujoco"}[request.param.name]
     pytest.importorskip(module, reason="the engine is not installed")
@@ -69,13 +67,13 @@ def engine(request: pytest.FixtureRequest) -> EngineSettings:
 
 
 @pytest.fixture
-def make_holder() -> type[Holder]:
+def make_holder():
     """Return the controller's class, as test modules cannot import this file."""
     return Holder
 
 
 @pytest.fixture
-def make_scene() -> Iterator[Callable[..., Scene]]:
+def make_scene():
     """Return a function that makes scenes from fields of the config and of its object; close them
     afterwards."""
     scenes: list[Scene] = []
@@ -93,7 +91,7 @@ def make_scene() -> Iterator[Callable[..., Scene]]:
 
 
 @pytest.fixture
-def held(make_scene: Callable[..., Scene]) -> Scene:
+def held(make_scene):
     """The reference grasp, settled under gravity."""
     scene = make_scene()
     Holder().settle(scene)

@@ -75,9 +75,7 @@ def states(simulator: Bullet) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("mass", "count", "heavy_end"), [(0.02, 3, 0.0), (0.002, 2, 1e-4)])
-def test_the_load_of_coupled_joints_reaches_motors(
-    mass: float, count: int, heavy_end: float
-) -> None:
+def test_the_load_of_coupled_joints_reaches_motors(mass, count, heavy_end):
     """By virtual work the motor needs 1 + 1.3, or 1 + 1.3 + 0.7, times the 0.5 N m on the last
     link."""
     hand = coupled_finger(mass, count, heavy_end)
@@ -102,7 +100,7 @@ def test_the_load_of_coupled_joints_reaches_motors(
     assert np.mean(held[-20:]) == pytest.approx(load, rel=0.02)
 
 
-def test_hulls_lie_where_they_should() -> None:
+def test_hulls_lie_where_they_should():
     """Bullet adds 1 mm around hulls, so they are shrunk by that much."""
     shapes = Geometry("hull", (), corners=CUBE), Geometry("sphere", (0.001,), (0.0, 0.0, 0.3))
     cube = loaded(one_link(make_link(origin=(0.0, 0.0, 0.2), collision=shapes), 0.3))
@@ -126,7 +124,7 @@ def test_hulls_lie_where_they_should() -> None:
     cube.close()
 
 
-def test_overlapping_links_do_not_push() -> None:
+def test_overlapping_links_do_not_push():
     """Two fingers with overlapping first links do not move without torque."""
     shapes = Geometry("sphere", (0.01,)), Geometry("sphere", (0.005,), (0.0, 0.1, 0.0))
     places = {"a": (-0.004, 0.0, 0.2), "b": (0.004, 0.0, 0.2)}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -28,7 +27,7 @@ FRONT = View((0.0, 0.0, 0.5), (0.0, 0.0, 0.0), 30.0, 300, 300)  # looks along -z
 
 
 @pytest.fixture(scope="module")
-def scene() -> Iterator[Scene]:
+def scene():
     scene = Scene(SceneConfig(), visuals=True)
     yield scene
     scene.close()
@@ -53,7 +52,7 @@ def one_finger(**fields: Any) -> Annotation:
 
 
 @needs_bullet
-def test_project_is_that_of_opengl() -> None:
+def test_project_is_that_of_opengl():
     points = np.random.default_rng(0).uniform(-0.1, 0.1, (30, 3))
     matrices = (
         bullet.computeProjectionMatrixFOV(VIEW.field_of_view, 160 / 120, NEAR_PLANE, FAR_PLANE),
@@ -74,7 +73,7 @@ def test_project_is_that_of_opengl() -> None:
 
 
 @pytest.mark.parametrize("size", [(160, 120), (120, 160)])
-def test_fitted_leaves_the_margins_free(size: tuple[int, int]) -> None:
+def test_fitted_leaves_the_margins_free(size):
     points = np.random.default_rng(1).uniform(-0.1, 0.1, (200, 3))
     view = dataclasses.replace(VIEW, width=size[0], height=size[1]).fitted(points, 0.1, 0.2)
     part = view.project(points) / size
@@ -85,7 +84,7 @@ def test_fitted_leaves_the_margins_free(size: tuple[int, int]) -> None:
     np.testing.assert_allclose(view.axes, VIEW.axes, atol=1e-12)
 
 
-def test_pictures_show_what_is_behind_the_object(scene: Scene) -> None:
+def test_pictures_show_what_is_behind_the_object(scene):
     camera = Camera(scene, CameraConfig(width=240, height=240, object_opacity=1.0))
     opaque = camera.capture().astype(int)
     with camera.painter.object_hidden():
@@ -109,7 +108,7 @@ def test_pictures_show_what_is_behind_the_object(scene: Scene) -> None:
         assert np.abs(opaque[at, at] - shade).max() <= 1
 
 
-def test_hand_and_object_fill_the_picture(scene: Scene) -> None:
+def test_hand_and_object_fill_the_picture(scene):
     default = SceneConfig()
     half = 0.06
     points = tuple((x, y, half * np.sign(z)) for x, y, z in default.contact_points)
@@ -125,7 +124,7 @@ def test_hand_and_object_fill_the_picture(scene: Scene) -> None:
     scene.load(default)
 
 
-def test_hidden_contacts_are_counted(scene: Scene) -> None:
+def test_hidden_contacts_are_counted(scene):
     camera = Camera(scene, CameraConfig(width=96, height=96))
     above = View((0.0, 1.2, 1e-3), (0.0, 0.0, 0.0), 40.0, 160, 160)  # through the palm
     with camera.painter.object_hidden():
@@ -136,7 +135,7 @@ def test_hidden_contacts_are_counted(scene: Scene) -> None:
     assert camera.view.axes[2] @ DIRECTION / np.linalg.norm(DIRECTION) == pytest.approx(1.0)
 
 
-def test_pictures_leave_the_scene_alone(scene: Scene) -> None:
+def test_pictures_leave_the_scene_alone(scene):
     state = numbers(scene)
     camera = Camera(scene, CameraConfig(width=120, height=100))
     note = one_finger(lines=[("iterations", "12")])
@@ -175,7 +174,7 @@ def test_pictures_leave_the_scene_alone(scene: Scene) -> None:
         )
     ],
 )
-def test_invalid_arguments(make: Any, fields: dict[str, Any]) -> None:
+def test_invalid_arguments(make, fields):
     with pytest.raises(InvalidInputError, match=next(iter(fields))):
         make(**fields)
 
@@ -227,7 +226,7 @@ DRAWN = {
 
 
 @pytest.mark.parametrize("what", DRAWN)
-def test_drawn(what: str) -> None:
+def test_drawn(what):
     fields, expected = DRAWN[what]
     image = np.array(
         draw(Image.new("RGB", (300, 300), "white"), one_finger(**fields), FRONT)
@@ -239,7 +238,7 @@ def test_drawn(what: str) -> None:
 
 
 @pytest.mark.parametrize("size", [(64, 48), (1, 1)])
-def test_every_size_and_every_place_can_be_drawn(size: tuple[int, int]) -> None:
+def test_every_size_and_every_place_can_be_drawn(size):
     """Pixels that are not drawn on are only veiled."""
     view = dataclasses.replace(FRONT, width=size[0], height=size[1])
     for place in ([0.0, 0.0, 0.0], [5.0, 0.0, 0.0], [0.0, 0.0, 3.0], [0.0, 0.0, 0.5]):
@@ -253,7 +252,7 @@ def test_every_size_and_every_place_can_be_drawn(size: tuple[int, int]) -> None:
 
 
 @pytest.mark.parametrize("size", [(480, 480), (320, 240)])
-def test_text_has_its_place_beside_hand_and_arrows(scene: Scene, size: tuple[int, int]) -> None:
+def test_text_has_its_place_beside_hand_and_arrows(scene, size):
     margin, footer = room(*size)
     camera = Camera(
         scene, CameraConfig(*size, margin=margin, footer=footer, arrows=LONGEST, object_opacity=1.0)
@@ -292,7 +291,7 @@ def test_text_has_its_place_beside_hand_and_arrows(scene: Scene, size: tuple[int
 
 
 @pytest.mark.parametrize(("angle", "most"), [(0.02, 0.85), (0.7, 0.6), (1.5, 0.4)])
-def test_smooth_edges_are_nearer_to_the_truth(angle: float, most: float) -> None:
+def test_smooth_edges_are_nearer_to_the_truth(angle, most):
     def half_plane(factor: int) -> np.ndarray:
         x = (np.arange(64 * factor) + 0.5) / factor - 32.0
         inside = np.cos(angle) * x[None, :] + np.sin(angle) * x[:, None] > 0.3
@@ -308,7 +307,7 @@ def test_smooth_edges_are_nearer_to_the_truth(angle: float, most: float) -> None
     assert error[1] < most * error[0]
 
 
-def test_lines_end_at_contacts() -> None:
+def test_lines_end_at_contacts():
     (start, end, _), (_, tip, _) = lines_of(one_finger(wrench=[0.0, 1.0, 0.0, 0.0, 0.0, 0.0]))
     np.testing.assert_allclose(
         [start, end, tip], [[-0.08, 0.0, 0.0], [-0.03, 0.0, 0.0], [0.1, 0.15, 0.0]], atol=1e-12
@@ -316,7 +315,7 @@ def test_lines_end_at_contacts() -> None:
     np.testing.assert_allclose(*lines_of(one_finger(active=[False]))[0][:2])
 
 
-def test_portraits_are_upright() -> None:
+def test_portraits_are_upright():
     hand = HANDS["four_finger"]()  # its palm is above the object
     picture = portrait(hand, 96).astype(int)
     assert picture.shape == (96, 192, 3)

@@ -72,7 +72,7 @@ True, False, None, 1.5e-3, 'text', 2j
 
 
 @pytest.mark.parametrize("text", SAME.strip().splitlines())
-def test_a_value_is_that_of_python(text: str) -> None:
+def test_a_value_is_that_of_python(text):
     expected = eval(text, {"__builtins__": {}, **SYMBOLS}, {})
     value = evaluate(f" {text}\n", SYMBOLS)
     assert value == expected
@@ -97,7 +97,7 @@ size()
 
 
 @pytest.mark.parametrize("text", WRONG.strip().splitlines())
-def test_errors_are_those_of_python(text: str) -> None:
+def test_errors_are_those_of_python(text):
     with pytest.raises(Exception) as expected:  # noqa: PT011
         eval(text, {"__builtins__": {}, **SYMBOLS}, {})
     # xacro's dicts raise this one
@@ -148,12 +148,12 @@ yield_.x if 0 else (yield)
 
 
 @pytest.mark.parametrize("text", REFUSED.strip().splitlines())
-def test_whatever_could_leave_the_data_is_refused(text: str) -> None:
+def test_whatever_could_leave_the_data_is_refused(text):
     with pytest.raises(RefusedError, match=r"^the expression .*, which is not allowed$"):
         evaluate(text, {**SYMBOLS, "yield_": 1})
 
 
-def test_results_have_no_way_out() -> None:
+def test_results_have_no_way_out():
     """A comprehension in brackets is a list, so that no generator exists; what a function returns
     has no attributes."""
     assert evaluate("(i for i in [1, 2])", {}) == [1, 2]

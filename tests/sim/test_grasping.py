@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -95,7 +94,7 @@ def worst(item: ObjectDescription, plan: GraspPlan) -> float:
 
 
 @pytest.mark.parametrize("name", ["four_finger", "three_finger", "five_finger"])
-def test_random_objects_are_grasped(name: str) -> None:
+def test_random_objects_are_grasped(name):
     rng = np.random.default_rng(5)
     forces = []
     for shape in 4 * SHAPES_WITHOUT_MESH:
@@ -105,7 +104,7 @@ def test_random_objects_are_grasped(name: str) -> None:
     assert max(forces) < 60.0
 
 
-def test_the_reference_grasp_and_random_generators() -> None:
+def test_the_reference_grasp_and_random_generators():
     hand = HandKinematics(FOUR)
     points, normals = grasp_points(ObjectDescription(), hand)
     np.testing.assert_array_equal(points, paper_cuboid().positions)
@@ -122,7 +121,7 @@ def test_the_reference_grasp_and_random_generators() -> None:
 
 
 @needs_bullet
-def test_bullet_sees_no_other_contact() -> None:
+def test_bullet_sees_no_other_contact():
     hand = HandKinematics(FOUR)
     for shape in SHAPES_WITHOUT_MESH:
         item = ObjectDescription(shape)
@@ -165,14 +164,12 @@ def test_bullet_sees_no_other_contact() -> None:
     ],
     ids=["large", "slippery", "two fingers", "far"],
 )
-def test_objects_that_cannot_be_held(
-    item: ObjectDescription, hand: HandDescription, message: str
-) -> None:
+def test_objects_that_cannot_be_held(item, hand, message):
     with pytest.raises(InvalidInputError, match=message):
         grasp_points(item, HandKinematics(hand))
 
 
-def test_given_points_are_moved_to_the_surface() -> None:
+def test_given_points_are_moved_to_the_surface():
     box = ObjectDescription()
     points, normals = check_points(box, [[0.0, 0.01, 0.05005]])
     np.testing.assert_allclose(points, [[0.0, 0.01, 0.05]])
@@ -192,7 +189,7 @@ def test_given_points_are_moved_to_the_surface() -> None:
         ([0.0, 0.0, 0.05], [0.0, 0.0, 0.0], "must not be zero"),
     ],
 )
-def test_invalid_points(point: list[float], normal: Any, message: str) -> None:
+def test_invalid_points(point, normal, message):
     with pytest.raises(InvalidInputError, match=message):
         check_points(ObjectDescription("sphere"), [point], None if normal is None else [normal])
 
@@ -201,9 +198,7 @@ def test_invalid_points(point: list[float], normal: Any, message: str) -> None:
     ("fingers", "joints", "coupled", "item"),
     [(3, 1, False, CUBE), (3, 2, False, BALL), (4, 2, True, BALL), (4, 3, True, CUBE)],
 )
-def test_planar_and_coupled_fingers(
-    fingers: int, joints: int, coupled: bool, item: ObjectDescription
-) -> None:
+def test_planar_and_coupled_fingers(fingers, joints, coupled, item):
     hand = gripper(fingers, joints, coupled)
     assert not any(core.HandLimbs.make(HandKinematics(hand).tree, [], np.array(hand.home)).free)
     check(place_hand(hand, item), item)
@@ -212,7 +207,7 @@ def test_planar_and_coupled_fingers(
 @pytest.mark.parametrize(
     ("name", "item"), [("four_finger_4dof", BALL), ("five_finger", CUBE), ("allegro", CUBE)]
 )
-def test_known_hands(name: str, item: ObjectDescription) -> None:
+def test_known_hands(name, item):
     placed = place_hand(replace(HANDS[name](), placed=False), item)
     assert placed.placed
     # more fingers touch where they hold as well
@@ -220,7 +215,7 @@ def test_known_hands(name: str, item: ObjectDescription) -> None:
     check(placed, item)
 
 
-def test_seeds_and_places() -> None:
+def test_seeds_and_places():
     """The result depends on the seed, but a grasp is found wherever the hand was."""
     hand = gripper(3, 2)
     first = place_hand(hand, BALL, seed=2)
@@ -231,7 +226,7 @@ def test_seeds_and_places() -> None:
     assert place_hand(hand, BALL, seed=3) != first
 
 
-def test_fingers_that_find_no_contact_are_left_out() -> None:
+def test_fingers_that_find_no_contact_are_left_out():
     hand = gripper(4, 2)
     # the last finger stays open
     links = (*hand.links[:6], replace(hand.links[6], upper=-0.5), replace(hand.links[7], upper=0.1))
@@ -249,12 +244,12 @@ def ranged(hand: HandDescription, lower: float, upper: float) -> HandDescription
     )
 
 
-def test_joints_with_wide_ranges() -> None:
+def test_joints_with_wide_ranges():
     """Nearly all postures are folded: three joints of each finger turn by up to a turn."""
     check(place_hand(ranged(gripper(3, 3), -np.pi, np.pi), BALL), BALL)
 
 
-def test_advice_on_fingers_and_joints() -> None:
+def test_advice_on_fingers_and_joints():
     with pytest.raises(InvalidInputError, match="least must"):
         place_hand(GRIPPER, BALL, least=4)
     faced = ~np.eye(3, dtype=bool)
@@ -268,7 +263,7 @@ def test_advice_on_fingers_and_joints() -> None:
     assert re.search(advice, _wide_joints(ranged(GRIPPER, -np.pi, np.pi)))
 
 
-def test_directions_of_approach() -> None:
+def test_directions_of_approach():
     rng = np.random.default_rng(0)
     for wanted, axis in (
         ("down", (0.0, -1.0, 0.0)),
@@ -287,7 +282,7 @@ def test_directions_of_approach() -> None:
     assert abs(Approach("side").draw(rng)[1]) == 0.0
 
 
-def test_idle_fingers_make_a_grasp_worse() -> None:
+def test_idle_fingers_make_a_grasp_worse():
     hand = HANDS["four_finger"]()
     more = replace(hand.fingertips[0], name="idle", link=hand.links[0].name)
     idle = replace(hand, fingertips=(*hand.fingertips, more))
@@ -299,7 +294,7 @@ def test_idle_fingers_make_a_grasp_worse() -> None:
     assert other == pytest.approx(1.3 * one)
 
 
-def test_links_that_always_touch() -> None:
+def test_links_that_always_touch():
     hand = gripper(3, 3)
     assert touching_pairs(hand, at_home=False) == ()
     # over the next link and the one after it

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -37,7 +36,7 @@ FRONT = {
 @pytest.mark.parametrize(
     ("name", "tip"), [("allegro", (0.0, 0.0, 0.1362)), ("leap", (0.0019, -0.0149, 0.1284))]
 )
-def test_real_hands_have_their_published_measures(name: str, tip: tuple[float, ...]) -> None:
+def test_real_hands_have_their_published_measures(name, tip):
     """Straight middle fingers along z; the links of a finger overlap only their neighbours."""
     hand = HANDS[name]()
     assert (hand.name, hand.placed, hand.joint_count) == (name, False, 16)
@@ -49,7 +48,7 @@ def test_real_hands_have_their_published_measures(name: str, tip: tuple[float, .
     assert 0.45 < sum(link.mass for link in hand.links) < 0.65
 
 
-def test_links_have_the_inertia_of_rods() -> None:
+def test_links_have_the_inertia_of_rods():
     """Compare with numerical integrals along the rods; the tip is a solid ball."""
     finger = FingerDescription("f", (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
     grid = np.linspace(0.0, 1.0, 501)
@@ -69,7 +68,7 @@ def test_links_have_the_inertia_of_rods() -> None:
 
 
 @pytest.mark.parametrize("name", FRONT)
-def test_hands_do_not_touch_themselves(name: str) -> None:
+def test_hands_do_not_touch_themselves(name):
     """The postures are far from the joint limits."""
     kinematics = HandKinematics(HANDS[name]())
     limbs = core.HandLimbs.make(kinematics.tree, hand_limbs(kinematics.hand), kinematics.home)
@@ -87,7 +86,7 @@ def test_hands_do_not_touch_themselves(name: str) -> None:
                 assert second in kinematics.tip_links if first < 0 else not own[first]
 
 
-def test_a_moved_hand_moves_as_a_whole() -> None:
+def test_a_moved_hand_moves_as_a_whole():
     hand = HandDescription.five_finger()
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     moved = hand.moved((0.1, 0.2, 0.3), (0.0, 0.0, np.pi / 2))
@@ -157,7 +156,7 @@ THUMB = FingerDescription("good", (0.0, 0.1, 0.0), press=(0.0, 0.0, 1.0))
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
-def test_impossible_parts_and_hands_are_refused(make: Callable[[], object], message: str) -> None:
+def test_impossible_parts_and_hands_are_refused(make, message):
     assert hand([GOOD, NEXT]).joint_count == 2
     with pytest.raises(GraspError, match=message):
         make()

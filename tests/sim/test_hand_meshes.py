@@ -27,7 +27,7 @@ TIP = {"finger": ((0.0, 0.0, 0.005), 0.001)}
 
 
 @pytest.fixture(autouse=True)
-def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def cache(tmp_path, monkeypatch):
     """Use a cache folder of the test's own."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
 
@@ -53,7 +53,7 @@ def bent() -> Any:
     "name",
     ["meshes/box.obj", "package://any_name/meshes/box.obj", "file://{folder}/meshes/box.stl"],
 )
-def test_meshes_are_found_and_become_hulls(tmp_path: Path, name: str) -> None:
+def test_meshes_are_found_and_become_hulls(tmp_path, name):
     """The meshes are in a folder above the URDF; their hulls are written and read without a change."""
     for folder in ("meshes", "urdf"):
         (tmp_path / folder).mkdir()
@@ -93,9 +93,7 @@ CORNERS = b"v 0 0 0\nv 1 0 0\nv 0 1 0\n"
         ("a.stl", None, "are missing"),
     ],
 )
-def test_looks_that_cannot_be_drawn_are_left_out(
-    tmp_path: Path, name: str, content: bytes | None, why: str
-) -> None:
+def test_looks_that_cannot_be_drawn_are_left_out(tmp_path, name, content, why):
     if content is not None:
         (tmp_path / name).write_bytes(content)
     made, told = read(tmp_path, small(mesh(name, "1 2 3", "visual") + BALL))
@@ -112,7 +110,7 @@ def test_looks_that_cannot_be_drawn_are_left_out(
     ],
     ids=["bent", "ring"],
 )
-def test_hollow_meshes_fall_into_pieces(shape: trimesh.Trimesh, counts: Any) -> None:
+def test_hollow_meshes_fall_into_pieces(shape, counts):
     """The pieces contain all of the mesh, and a hole stays open."""
     found = convex_pieces(np.array(shape.vertices), np.array(shape.faces))
     assert len(found) in counts
@@ -125,7 +123,7 @@ def test_hollow_meshes_fall_into_pieces(shape: trimesh.Trimesh, counts: Any) -> 
         assert min(outside(np.zeros((1, 3)), piece).item() for piece in found) > 0.003
 
 
-def test_pieces_are_joined_and_soups_are_not_cut() -> None:
+def test_pieces_are_joined_and_soups_are_not_cut():
     """A cylinder half inside a box is one piece, no mesh has more than eight, and 20,000 loose
     triangles take no minutes."""
     hidden = [trimesh.creation.cylinder(0.01, 0.04), trimesh.creation.box((0.03, 0.03, 0.05))]
@@ -141,7 +139,7 @@ def test_pieces_are_joined_and_soups_are_not_cut() -> None:
         assert len(convex_pieces(np.array(mesh.vertices), np.array(mesh.faces))) == count
 
 
-def test_few_corners_contain_all_and_little_more() -> None:
+def test_few_corners_contain_all_and_little_more():
     """40 corners around a ball stick out by an eighth of its radius."""
     points = np.array(trimesh.creation.icosphere(3, 0.012).vertices)
     corners = few_corners(points)
@@ -151,7 +149,7 @@ def test_few_corners_contain_all_and_little_more() -> None:
     assert few_corners(np.array(BOX.vertices)).shape == (8, 3)
 
 
-def test_cut_and_inset_boxes_are_boxes() -> None:
+def test_cut_and_inset_boxes_are_boxes():
     points = np.array(BOX.vertices)
     up = np.array([0.0, 0.0, 1.0])
     left = cut_below(points, up, 0.005)
@@ -180,9 +178,7 @@ def test_cut_and_inset_boxes_are_boxes() -> None:
     ],
     ids=["dome", "pad", "thick", "thin"],
 )
-def test_a_tip_is_the_ball_in_the_end_of_its_link(
-    tmp_path: Path, shapes: str, radius: float, end: float
-) -> None:
+def test_a_tip_is_the_ball_in_the_end_of_its_link(tmp_path, shapes, radius, end):
     if shapes == "dome":
         trimesh.creation.capsule(0.03, 0.008, count=(32, 32)).export(tmp_path / "dome.stl")
         shapes = mesh("dome.stl") + solid('<box size="0.016 0.024 0.03"/>', "0 0 0.01")
@@ -199,7 +195,7 @@ def test_a_tip_is_the_ball_in_the_end_of_its_link(
             assert outline(shape)[:, 2].max() < tip.center[2] - tip.radius + 1e-4
 
 
-def test_tips_are_given_by_place(tmp_path: Path) -> None:
+def test_tips_are_given_by_place(tmp_path):
     fixed = joint("end", "finger", "pad", "0 0 0.05", kind="fixed").replace(
         '0.05"', '0.05" rpy="0 1.5707963267948966 0"'
     )
@@ -214,7 +210,7 @@ def test_tips_are_given_by_place(tmp_path: Path) -> None:
     assert 0.055 < named.fingertips[0].center[2] + 0.01 < 0.0601
 
 
-def test_every_end_of_a_branch_is_a_finger(tmp_path: Path) -> None:
+def test_every_end_of_a_branch_is_a_finger(tmp_path):
     """Ends without a shape are left out; a sphere at the end of a link is the tip."""
     thumb = joint("t", "palm", "thumb") + link("thumb").replace(
         'box size="0.04 0.02 0.02"', 'sphere radius="0.011"'
@@ -231,7 +227,7 @@ def fail(*_: Any, **__: Any) -> Any:
     raise AssertionError("this was to come from the cache")
 
 
-def test_the_second_reading_makes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_second_reading_makes_nothing(tmp_path, monkeypatch):
     bent().export(tmp_path / "bent.stl")
     trimesh.creation.icosphere(2, 0.01).export(tmp_path / "seen.obj")
     text = small(mesh("seen.obj", role="visual"), mesh("bent.stl", "1 -1 0.5"))
@@ -254,9 +250,7 @@ def test_the_second_reading_makes_nothing(tmp_path: Path, monkeypatch: pytest.Mo
         read(tmp_path, text, ["finger"])
 
 
-def test_one_process_reads_all_meshes_of_a_hand(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_one_process_reads_all_meshes_of_a_hand(tmp_path, monkeypatch):
     for name in ("a.stl", "b.obj", "c.ply"):
         BOX.export(tmp_path / name)
     runs = list[str]()
@@ -270,7 +264,7 @@ def test_one_process_reads_all_meshes_of_a_hand(
     assert runs == ["reading 3 mesh files, once for this content"]
 
 
-def test_missing_meshes_are_told_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_meshes_are_told_at_once(tmp_path, monkeypatch):
     bent().export(tmp_path / "bent.stl")
     monkeypatch.setattr(meshes, "open_mesh", fail)
     palm = mesh("bent.stl") + mesh("meshes/a.stl") + mesh("c.stl", role="visual")
@@ -286,7 +280,7 @@ def test_missing_meshes_are_told_at_once(tmp_path: Path, monkeypatch: pytest.Mon
     ("unit", "scale"),
     [("<unit name='centimetre' meter='0.01'/>", "0.1 0.1 0.1"), ("<unit/>", "0.001 0.001 0.001")],
 )
-def test_the_unit_of_a_dae_counts(tmp_path: Path, unit: str, scale: str) -> None:
+def test_the_unit_of_a_dae_counts(tmp_path, unit, scale):
     """ROS applies the unit, too; the up axis is ignored."""
     write_dae(tmp_path, f"{unit}<up_axis>Y_UP</up_axis>")
     made, _ = read(tmp_path, small(BALL, mesh("a.dae", scale) + mesh("a.dae", scale, "visual")))
@@ -326,9 +320,7 @@ def write_dae(folder: Path, asset: str) -> None:
     ],
     ids=["millimetres", "a point", "kind", "device", "address", "long", "no name", "inches"],
 )
-def test_files_that_are_no_mesh_are_refused(
-    tmp_path: Path, name: str, content: Any, message: str
-) -> None:
+def test_files_that_are_no_mesh_are_refused(tmp_path, name, content, message):
     if isinstance(content, str):
         write_dae(tmp_path, f'<unit meter="{content}"/>')
     elif content is not None:

@@ -43,13 +43,13 @@ HAND = hand_to_plain(gripper(3, 3))
     ],
     ids=[*HANDS, "coupled", "odd"],
 )
-def test_a_hand_survives_json_to_the_last_bit(hand: HandDescription) -> None:
+def test_a_hand_survives_json_to_the_last_bit(hand):
     text = json.dumps(hand_to_plain(hand), allow_nan=False)
     again = hand_of(json.loads(text), "hand")
     assert (again, hash(again)) == (hand, hash(hand))
 
 
-def test_a_built_in_hand_is_its_name_alone() -> None:
+def test_a_built_in_hand_is_its_name_alone():
     for name, make in HANDS.items():
         assert hand_to_plain(make()) == {"name": name}
         assert hand_of({"name": name}, "hand") == make()
@@ -94,7 +94,7 @@ WRONG: list[tuple[Callable[[], Any], str]] = [
 
 
 @pytest.mark.parametrize(("make", "message"), WRONG, ids=range(len(WRONG)))
-def test_a_wrong_dict_is_named(make: Callable[[], Any], message: str) -> None:
+def test_a_wrong_dict_is_named(make, message):
     with pytest.raises(GraspError, match=message) as caught:
         hand_of(make(), "hand")
     assert isinstance(caught.value, UnknownSettingError) == ("colour" in message)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from xml.sax.saxutils import escape
 
@@ -64,7 +64,7 @@ class Trap:
 
 
 @pytest.fixture
-def trap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Trap]:
+def trap(tmp_path, monkeypatch):
     monkeypatch.setenv("GRASP_SECRET", "the-secret")
     trap = Trap(tmp_path)
     yield trap
@@ -239,9 +239,7 @@ HOSTILE: dict[str, tuple[Callable[[Trap], str], str]] = {
 
 
 @pytest.mark.parametrize("kind", HOSTILE)
-def test_hostile_files_have_no_effect(
-    kind: str, trap: Trap, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_hostile_files_have_no_effect(kind, trap, monkeypatch):
     make, message = HOSTILE[kind]
     if message == "it took more than":
         monkeypatch.setattr(xacro, "_SECONDS", 2.0)
@@ -263,7 +261,7 @@ def test_hostile_files_have_no_effect(
 @pytest.mark.parametrize(
     "name", ["innocent.urdf", "innocent.xml", "innocent", "innocent.xacro.urdf"]
 )
-def test_only_xacro_files_are_expanded(trap: Trap, name: str) -> None:
+def test_only_xacro_files_are_expanded(trap, name):
     """`xacro=True` expands others, and nothing else is allowed in those."""
     (trap.own / name).write_text(value(FRAME.format(trap.marker)))
     with pytest.raises(
@@ -279,7 +277,7 @@ def test_only_xacro_files_are_expanded(trap: Trap, name: str) -> None:
     assert not trap.marker.exists()
 
 
-def test_no_variable_is_seen(trap: Trap) -> None:
+def test_no_variable_is_seen(trap):
     names = ("GRASP_SECRET", "HOME", "PATH", "PYTHONPATH", "LC_CTYPE", "LD_LIBRARY_PATH")
     (trap.own / "hand.xacro").write_text(
         xacro_hand(name="".join(f"$(optenv {name} -)" for name in names))
@@ -287,7 +285,7 @@ def test_no_variable_is_seen(trap: Trap) -> None:
     assert HandDescription.from_file(trap.own / "hand.xacro").name == "-" * len(names)
 
 
-def test_the_second_barrier(trap: Trap) -> None:
+def test_the_second_barrier(trap):
     """The codec of a text is a module; nothing is imported while xacro runs."""
     (trap.own / "hand.xacro").write_text(value("'a'.encode('this')"))
     with pytest.raises(

@@ -68,7 +68,7 @@ def claw(ratio: float = 1.0) -> HandDescription:
     [(jaws(1), CUBE), (claw(), BALL), (claw(0.6), BALL)],
     ids=["jaws", "claw", "slow finger"],
 )
-def test_both_jaws_touch_at_once(hand: HandDescription, item: ObjectDescription) -> None:
+def test_both_jaws_touch_at_once(hand, item):
     soft = with_soft_contacts(item, hand)
     kinematics = HandKinematics(place_hand(hand, soft))
     plan = plan_grasp(soft, kinematics)
@@ -83,7 +83,7 @@ def test_both_jaws_touch_at_once(hand: HandDescription, item: ObjectDescription)
         assert wanted > 0.0 or (gaps < 2e-5).all()
 
 
-def test_one_motor_makes_the_forces_of_both_jaws() -> None:
+def test_one_motor_makes_the_forces_of_both_jaws():
     """A grasp takes twice the force of one motor that it takes of two."""
     soft = with_soft_contacts(BALL, jaws())
     placed = place_hand(jaws(1, 10.0), soft)
@@ -92,7 +92,7 @@ def test_one_motor_makes_the_forces_of_both_jaws() -> None:
     assert one == pytest.approx(2.0 * two, rel=0.1)
 
 
-def test_pads_stand_before_flat_jaws() -> None:
+def test_pads_stand_before_flat_jaws():
     hand = with_protruding_tips(jaws())
     for tip, before, link, side in zip(
         hand.fingertips, jaws().fingertips, hand.links, (1.0, -1.0), strict=True
@@ -108,7 +108,7 @@ def test_pads_stand_before_flat_jaws() -> None:
     assert with_protruding_tips(three) == three
 
 
-def test_two_fingers_get_soft_contacts() -> None:
+def test_two_fingers_get_soft_contacts():
     words = r"torsional_friction=0.0056 m, 2/3 of friction 0.7 times the 12 mm .* object={'torsional_friction'"
     with pytest.warns(GraspWarning, match=words):
         config = EnvConfig(hand=jaws(), object=BALL).resolved()
@@ -127,9 +127,7 @@ def test_two_fingers_get_soft_contacts() -> None:
     [pytest.param(jaws(1), CUBE, "bullet", marks=needs_bullet), (claw(), CUBE, "mujoco")],
     ids=["jaws", "claw"],
 )
-def test_jaws_hold_under_a_random_wrench(
-    hand: HandDescription, item: ObjectDescription, engine: str
-) -> None:
+def test_jaws_hold_under_a_random_wrench(hand, item, engine):
     with pytest.warns(GraspWarning, match="two fingers hold with soft contacts"):
         env = gym.make(
             "grasp_env:FourFingerGrasp-v0",
@@ -155,9 +153,7 @@ def test_jaws_hold_under_a_random_wrench(
     ("item", "approach", "way"),
     [(CUBE, "up", (0.0, 1.0, 0.0)), (BALL, (3.0, 0.0, 4.0), (0.6, 0.0, 0.8)), (BALL, "side", None)],
 )
-def test_the_palm_looks_where_it_is_wanted(
-    item: ObjectDescription, approach: str | tuple[float, ...], way: tuple[float, ...] | None
-) -> None:
+def test_the_palm_looks_where_it_is_wanted(item, approach, way):
     placed = place_hand(jaws(), with_soft_contacts(item, jaws()), approach=approach)
     palm = np.array(placed.palm.collision[0].origin)
     palm /= np.linalg.norm(palm)
@@ -165,7 +161,7 @@ def test_the_palm_looks_where_it_is_wanted(
     assert abs(palm[1]) < np.sin(limit) if way is None else -palm @ way > np.cos(limit)
 
 
-def test_hands_that_cannot_be_placed() -> None:
+def test_hands_that_cannot_be_placed():
     with pytest.raises(
         InvalidInputError, match=r"surround it at 0 places.*none is left.* No two of its fingers"
     ):

@@ -56,7 +56,7 @@ MAKERS: dict[str, Callable[[], HandDescription]] = {
 
 @needs_bullet
 @pytest.mark.parametrize("name", [*MAKERS, "original"])
-def test_kinematics_and_dynamics_match_pybullet(name: str) -> None:
+def test_kinematics_and_dynamics_match_pybullet(name):
     """PyBullet loads hands that we write, and the original of a user's file with fixed joints."""
     client = Client()
     hand = crooked() if name == "original" else MAKERS[name]()
@@ -112,7 +112,7 @@ def test_kinematics_and_dynamics_match_pybullet(name: str) -> None:
     client.close()
 
 
-def test_coupled_joints_add_to_their_drivers() -> None:
+def test_coupled_joints_add_to_their_drivers():
     """The oracle is the same hand without couplings; E holds the slopes of its angles, in the
     angles of the drivers."""
     hand = gripper(3, 3, coupled=True)
@@ -141,7 +141,7 @@ def test_coupled_joints_add_to_their_drivers() -> None:
         )
 
 
-def test_mobility_is_the_largest_acceleration() -> None:
+def test_mobility_is_the_largest_acceleration():
     """For joints under springs it is a bound."""
     kinematics = HandKinematics(turned())
     tips, joints = kinematics.mobility(kinematics.home)
@@ -155,7 +155,7 @@ def test_mobility_is_the_largest_acceleration() -> None:
 
 
 @pytest.mark.parametrize("make", MAKERS.values(), ids=MAKERS)
-def test_solve_comes_back_to_reachable_tips(make: Callable[[], HandDescription]) -> None:
+def test_solve_comes_back_to_reachable_tips(make):
     kinematics = HandKinematics(make())
     rng = np.random.default_rng(0)
     lower = np.maximum(kinematics.lower, -math.pi)
@@ -169,7 +169,7 @@ def test_solve_comes_back_to_reachable_tips(make: Callable[[], HandDescription])
         assert np.array_equal(angles, kinematics.solve(tips))
 
 
-def test_solve_starts_where_it_is_told_and_stays_near() -> None:
+def test_solve_starts_where_it_is_told_and_stays_near():
     kinematics = HandKinematics(HandDescription.four_finger_4dof())
     start = kinematics.solve(NOMINAL)
     moved = kinematics.solve(NOMINAL + np.array([0.0, 0.001, 0.0]), start)
@@ -203,7 +203,7 @@ def test_solve_starts_where_it_is_told_and_stays_near() -> None:
         ),
     ],
 )
-def test_tips_out_of_reach_are_refused(finger: int, tip: tuple[float, ...], message: str) -> None:
+def test_tips_out_of_reach_are_refused(finger, tip, message):
     kinematics = HandKinematics(HandDescription.four_finger())
     tips = NOMINAL.copy()
     tips[finger] = tip
@@ -212,7 +212,7 @@ def test_tips_out_of_reach_are_refused(finger: int, tip: tuple[float, ...], mess
     assert not kinematics.reachable(tips)
 
 
-def test_fingers_that_share_a_joint() -> None:
+def test_fingers_that_share_a_joint():
     kinematics = HandKinematics(crooked())
     first = kinematics.home.copy()
     second = kinematics.home.copy()
@@ -234,8 +234,6 @@ def test_fingers_that_share_a_joint() -> None:
         (lambda k: k.export("/nowhere/a.hand"), "hand file /nowhere/a.hand: No such file"),
     ],
 )
-def test_wrong_arguments_are_refused(
-    call: Callable[[HandKinematics], object], message: str
-) -> None:
+def test_wrong_arguments_are_refused(call, message):
     with pytest.raises(InvalidInputError, match=message):
         call(HandKinematics(HandDescription.three_finger()))

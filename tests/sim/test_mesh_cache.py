@@ -6,7 +6,7 @@ import json
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -30,7 +30,7 @@ from training.program.commands import mesh_repair
 
 
 @pytest.fixture(autouse=True)
-def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def own_cache(tmp_path, monkeypatch):
     """An empty cache, in memory and on disk."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     mesh._load.cache_clear()
@@ -51,7 +51,7 @@ def save(path: Path, corners: Any, faces: Any) -> str:
 
 
 @pytest.fixture
-def answer(capsys: pytest.CaptureFixture[str]) -> Any:
+def answer(capsys):
     def ask(*words: str) -> tuple[int, dict[str, Any]]:
         capsys.readouterr()
         code = main(["object", *words, "--json"])
@@ -60,7 +60,7 @@ def answer(capsys: pytest.CaptureFixture[str]) -> Any:
     return ask
 
 
-def test_show(tmp_path: Path, answer: Any, capsys: pytest.CaptureFixture[str]) -> None:
+def test_show(tmp_path, answer, capsys):
     ring = trimesh.creation.annulus(30.0, 50.0, 40.0, sections=8)
     ring.apply_translation((0.0, 0.0, 7.0))
     path = save(tmp_path / "ring.obj", ring.vertices, ring.faces)
@@ -92,7 +92,7 @@ def test_show(tmp_path: Path, answer: Any, capsys: pytest.CaptureFixture[str]) -
     assert "holes were filled with 1 faces" in told["repaired"][0]
 
 
-def test_a_torn_mesh_is_mended(tmp_path: Path, answer: Any) -> None:
+def test_a_torn_mesh_is_mended(tmp_path, answer):
     count = len(CORNERS)
     crumb = [[0.0, 0.3, 0.0], [0.1, 0.3, 0.0], [0.0, 0.3, 0.1]]
     corners = np.vstack([CORNERS, 0.5 * CORNERS, CORNERS + np.array((0.2, 0.0, 0.0)), crumb])
@@ -116,7 +116,7 @@ def test_a_torn_mesh_is_mended(tmp_path: Path, answer: Any) -> None:
     assert read_mesh(open_mesh(path, "it"))[1].shape == torn.shape  # the file stays
 
 
-def test_nothing_is_overwritten_by_default(tmp_path: Path, answer: Any) -> None:
+def test_nothing_is_overwritten_by_default(tmp_path, answer):
     path = save(tmp_path / "ball.stl", 1e3 * CORNERS, FACES)
     out = tmp_path / "ball_mended.obj"
     out.write_text("mine")
@@ -135,7 +135,7 @@ def test_nothing_is_overwritten_by_default(tmp_path: Path, answer: Any) -> None:
     assert not list(tmp_path.glob(".*"))  # nothing half written
 
 
-def test_mending_that_fails(tmp_path: Path, answer: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_mending_that_fails(tmp_path, answer, monkeypatch):
     flat = save(tmp_path / "flat.obj", CORNERS * (1.0, 1.0, 0.0), FACES[:100])
     for words in ("cannot be repaired", "Blender"):
         assert words in answer("mend", flat)[1]["error"]["message"]
@@ -152,7 +152,7 @@ def test_mending_that_fails(tmp_path: Path, answer: Any, monkeypatch: pytest.Mon
     assert not list(tmp_path.glob("*mended*"))
 
 
-def test_list_and_clear(tmp_path: Path, answer: Any, capsys: pytest.CaptureFixture[str]) -> None:
+def test_list_and_clear(tmp_path, answer, capsys):
     assert answer("list") == (0, {"folder": str(folder()), "meshes": []})
     for name, solid in (("ball", BALL), ("box", trimesh.creation.box((0.05, 0.06, 0.07)))):
         ObjectDescription.from_mesh(save(tmp_path / f"{name}.obj", solid.vertices, solid.faces))
@@ -183,9 +183,7 @@ def test_list_and_clear(tmp_path: Path, answer: Any, capsys: pytest.CaptureFixtu
         ("show {ball} --draw /nowhere/a.png", "/nowhere"),
     ],
 )
-def test_errors_are_one_line(
-    words: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_errors_are_one_line(words, message, tmp_path, capsys):
     ball = save(tmp_path / "ball.obj", CORNERS, FACES)
     assert main(["object", *words.format(ball=ball).split()]) == 2
     told = capsys.readouterr().err
@@ -206,7 +204,7 @@ def make(value: float = 3.0) -> Callable[[], dict[str, Any]]:
     return lambda: {"value": np.array(value)}
 
 
-def test_entries_are_found_by_content(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_entries_are_found_by_content(tmp_path, monkeypatch):
     path = box(tmp_path / "a.obj")
     item = ObjectDescription.from_mesh(path)
     (entry,) = entries()
@@ -243,7 +241,7 @@ def test_entries_are_found_by_content(tmp_path: Path, monkeypatch: pytest.Monkey
     ],
     ids=["half", "empty", "a pickle"],
 )
-def test_a_damaged_entry_is_made_anew(spoil: Callable[[Path], Any]) -> None:
+def test_a_damaged_entry_is_made_anew(spoil):
     cached("key", "name", make(1.0))
     spoil(folder() / "key.npz")
     assert len(entries()) == 1
@@ -251,9 +249,7 @@ def test_a_damaged_entry_is_made_anew(spoil: Callable[[Path], Any]) -> None:
     assert cached("key", "name", fail)["value"] == 2.0
 
 
-def test_without_a_folder_locks_or_patience(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_a_folder_locks_or_patience(tmp_path, monkeypatch):
     """None of these is an error, and none takes long."""
     monkeypatch.setattr(cache, "LONGEST_WAIT", 0.3)
     begun = time.monotonic()
@@ -290,7 +286,7 @@ print(cached("key", "name", make)["value"].sum())
 """
 
 
-def test_two_processes_make_one_entry(tmp_path: Path) -> None:
+def test_two_processes_make_one_entry(tmp_path):
     log = tmp_path / "log"
     with ExitStack() as stack:
         command = [sys.executable, "-c", WORKER, str(log)]
@@ -332,9 +328,7 @@ def names():
 """
 
 
-def test_work_apart_returns_raises_and_ends(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_work_apart_returns_raises_and_ends(tmp_path, capsys, monkeypatch):
     (tmp_path / "tasks.py").write_text(TASKS)
     monkeypatch.syspath_prepend(str(tmp_path))
     for task, message in (("crash", "exit code -11"), ("fail", "KeyError: 'inside'")):
@@ -349,9 +343,7 @@ def test_work_apart_returns_raises_and_ends(
     assert "\rcutting, " in capsys.readouterr().err
 
 
-def test_work_apart_has_its_own_memory_and_environment(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_work_apart_has_its_own_memory_and_environment(tmp_path, monkeypatch):
     (tmp_path / "tasks.py").write_text(TASKS)
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setenv("GRASP_SECRET", "secret")
@@ -365,7 +357,7 @@ def test_work_apart_has_its_own_memory_and_environment(
     assert "GRASP_SECRET" in apart("tasks:names", "work", 60.0)["names"]
 
 
-def test_vhacd_cuts_what_coacd_crashes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_vhacd_cuts_what_coacd_crashes_on(monkeypatch):
     tasks: list[str] = []
 
     def crash(name: str, *_: Any, **given: Any) -> Any:

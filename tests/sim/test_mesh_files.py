@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import re
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,7 +25,7 @@ def triangles(corners: Any, faces: Any) -> list[Any]:
     return [min(tuple(map(tuple, np.roll(face, k, axis=0))) for k in range(3)) for face in found]
 
 
-def test_valid_files_are_read_by_one_process(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_valid_files_are_read_by_one_process(monkeypatch):
     """Corners and faces stay in the file's order, whatever their materials; poses of nodes are
     applied."""
     runs = list[str]()
@@ -54,7 +53,7 @@ def test_valid_files_are_read_by_one_process(monkeypatch: pytest.MonkeyPatch) ->
         ), name
 
 
-def test_files_are_read_as_trimesh_reads_them(tmp_path: Path) -> None:
+def test_files_are_read_as_trimesh_reads_them(tmp_path):
     scene = trimesh.Scene(
         [
             trimesh.creation.icosphere(1),
@@ -74,7 +73,7 @@ def test_files_are_read_as_trimesh_reads_them(tmp_path: Path) -> None:
         assert triangles(*found) == triangles(other.vertices, other.faces)
 
 
-def test_wrong_files_are_told_in_one_sentence_each() -> None:
+def test_wrong_files_are_told_in_one_sentence_each():
     told = read_meshes(
         [MeshFile(blob, kind, f"the mesh {name}") for name, (kind, blob, _) in WRONG.items()]
     )
@@ -104,9 +103,7 @@ def test_wrong_files_are_told_in_one_sentence_each() -> None:
     ],
     ids=["memory", "time"],
 )
-def test_a_bomb_ends_in_a_sentence(
-    seconds: float, blob: bytes, message: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_bomb_ends_in_a_sentence(seconds, blob, message, monkeypatch):
     monkeypatch.setattr(reading, "SECONDS", seconds)
     begun = time.monotonic()
     with pytest.raises(InvalidInputError, match=message):
@@ -125,9 +122,7 @@ def test_a_bomb_ends_in_a_sentence(
         (TimeoutError("it took more than 30 s"), "bad took more than 30 s to be read as .off"),
     ],
 )
-def test_a_crash_costs_no_file_beside_it(
-    end: Exception, message: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_crash_costs_no_file_beside_it(end, message, monkeypatch):
     def run(*_: Any, kinds: Any, memory: int, variables: Any, **files: Any) -> Any:
         if ".off" in kinds:
             raise end
@@ -140,7 +135,7 @@ def test_a_crash_costs_no_file_beside_it(
     assert re.match(message, str(found[-1]))
 
 
-def test_memory_is_told_of_a_file_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_memory_is_told_of_a_file_alone(monkeypatch):
     """Files that need too much memory together may each need little, so the process of several
     files ends and each is read alone."""
 
@@ -185,9 +180,7 @@ def test_memory_is_told_of_a_file_alone(monkeypatch: pytest.MonkeyPatch) -> None
         ("a.off", 10**9, r"cannot read the mesh: it is larger than 20 MB; .* simplify it"),
     ],
 )
-def test_files_that_are_not_opened(
-    name: str, content: bytes | int | None, message: str, tmp_path: Path
-) -> None:
+def test_files_that_are_not_opened(name, content, message, tmp_path):
     path = tmp_path / name
     if isinstance(content, int):
         with path.open("wb") as file:

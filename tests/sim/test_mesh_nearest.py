@@ -223,5 +223,5 @@ def check(name: str, count: int, seed: int) -> None:
 
 
 @pytest.mark.parametrize("name", MESHES)
-def test_nearest_points(name: str) -> None:
+def test_nearest_points(name):
     check(name, 100, 0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import pickle
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -30,7 +30,7 @@ from grasp_env.sim.objects.pieces import MAX_CORNERS, MAX_PIECES, convex_pieces
 
 
 @pytest.fixture(scope="module", autouse=True)
-def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+def own_cache(tmp_path_factory):
     """A cache for these tests alone, so that no solid is cut twice."""
     with pytest.MonkeyPatch.context() as patched:
         patched.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
@@ -64,7 +64,7 @@ SOLIDS: dict[str, Callable[[], trimesh.Trimesh]] = {"L-shape": l_shape, "cup": c
 
 
 @pytest.fixture(scope="module", params=SOLIDS)
-def made(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Made:
+def made(request, tmp_path_factory):
     """Solids that are not convex, turned and far from the origin."""
     solid = SOLIDS[request.param]()
     solid.apply_transform(
@@ -92,7 +92,7 @@ def load(folder: Path, mesh: trimesh.Trimesh, **settings: Any) -> tuple[ObjectDe
     return item, "; ".join(str(each.message) for each in told)
 
 
-def test_mass_and_moments_are_those_of_the_solid(made: Made) -> None:
+def test_mass_and_moments_are_those_of_the_solid(made):
     solid = made[0].copy()
     item = made[1]
     solid.density = DENSITY
@@ -119,7 +119,7 @@ def test_mass_and_moments_are_those_of_the_solid(made: Made) -> None:
             array[0] = 0
 
 
-def test_scale_and_copies(made: Made) -> None:
+def test_scale_and_copies(made):
     item = made[1]
     half = ObjectDescription.from_mesh(str(item.mesh), 0.5, density=DENSITY)
     assert half.mass == pytest.approx(item.mass / 8.0, rel=1e-12)
@@ -138,7 +138,7 @@ def test_scale_and_copies(made: Made) -> None:
     assert len(pickle.dumps(item)) < 2000  # without the mesh
 
 
-def test_axes_turn_no_more_than_needed(tmp_path: Path) -> None:
+def test_axes_turn_no_more_than_needed(tmp_path):
     matrix = np.asarray(trimesh.transformations.rotation_matrix(0.3, (1.0, 2.0, -1.0)))
     cubic, _ = load(tmp_path, box(0.1, 0.1, 0.1).apply_transform(matrix))
     assert np.ptp(cubic.faces[0], axis=0).min() > 0.11  # any axes of a cube are principal ones
@@ -160,7 +160,7 @@ def heights(item: ObjectDescription, points: np.ndarray) -> np.ndarray:
     return np.min([(points @ hull[:, :3].T + hull[:, 3]).max(axis=1) for hull in hulls], axis=0)
 
 
-def test_pieces_cover_the_mesh(made: Made) -> None:
+def test_pieces_cover_the_mesh(made):
     item = made[1]
     size = max(made[1].extent)
     assert 1 < len(item.pieces) <= MAX_PIECES
@@ -184,7 +184,7 @@ def test_pieces_cover_the_mesh(made: Made) -> None:
             np.testing.assert_array_equal(one, other)
 
 
-def test_a_fine_ball_is_one_piece_of_few_corners(tmp_path: Path) -> None:
+def test_a_fine_ball_is_one_piece_of_few_corners(tmp_path):
     item, _ = load(tmp_path, creation.icosphere(4, 0.033))
     (piece,) = item.pieces
     assert len(piece) <= MAX_CORNERS
@@ -283,7 +283,7 @@ REPAIRS: dict[str, tuple[Callable[[], trimesh.Trimesh], float, str]] = {
 
 
 @pytest.mark.parametrize("name", REPAIRS)
-def test_repairs_are_right_and_reported(name: str) -> None:
+def test_repairs_are_right_and_reported(name):
     make, expected, message = REPAIRS[name]
     solid = make()
     if name != "open seams":  # corners are merged in a grid, by luck of their places in it
@@ -300,7 +300,7 @@ def test_repairs_are_right_and_reported(name: str) -> None:
     assert trimesh.Trimesh(corners, faces).is_watertight
 
 
-def test_repairs_are_warned_of_each_time(tmp_path: Path) -> None:
+def test_repairs_are_warned_of_each_time(tmp_path):
     torn = without(box(), 0)
     first = load(tmp_path, torn)[1]
     assert "holes were filled with 1 faces" in first
@@ -309,7 +309,7 @@ def test_repairs_are_warned_of_each_time(tmp_path: Path) -> None:
     assert load(tmp_path, torn)[1] == first
 
 
-def test_too_many_parts() -> None:
+def test_too_many_parts():
     corners = np.concatenate([np.add(box().vertices, (0.1 * k, 0.0, 0.0)) for k in range(501)])
     with pytest.raises(
         InvalidInputError, match="501 parts that are not connected, allowed are up to 500"
@@ -331,7 +331,7 @@ def test_too_many_parts() -> None:
     ],
     ids=["faces", "pieces", "mujoco"],
 )
-def test_a_hand_holds_it(made: Made, engine: Any) -> None:
+def test_a_hand_holds_it(made, engine):
     """Its contacts are on the faces of the file."""
     if engine == "mujoco":
         pytest.importorskip("mujoco", reason="the extra 'mujoco' is not installed")

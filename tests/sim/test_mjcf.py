@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import mujoco as compiled
@@ -46,7 +45,7 @@ PLAIN = FINGERS.format(one="", two="", rod="", more="")
 MOTORS = '<actuator><motor joint="j1" ctrlrange="-3 3"/><motor joint="k1"/></actuator>'
 
 
-def test_a_scene_is_the_hand_that_mujoco_simulates(tmp_path: Path) -> None:
+def test_a_scene_is_the_hand_that_mujoco_simulates(tmp_path):
     """The base floats, the floor and a free ball are left out, and the file has the suffix of a
     URDF."""
     hand, told = read(tmp_path, CROOKED, ["pad", "touch", "c"], rotor_inertia=None)
@@ -94,7 +93,7 @@ def test_a_scene_is_the_hand_that_mujoco_simulates(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("before", "upper"), [("", 1.5), ('angle="radian"', 0.04)])
-def test_radians_that_mujoco_takes_for_degrees(tmp_path: Path, before: str, upper: float) -> None:
+def test_radians_that_mujoco_takes_for_degrees(tmp_path, before, upper):
     """Ranges of 1.5 degrees become radians; small ranges in a file with angle="radian" stay."""
     meant = FINGERS.format(one="", two='ref="0.5"', rod="", more="").replace(
         'range="0 1.5"', f'range="0 {upper}"'
@@ -159,13 +158,7 @@ TENDON = (
     ],
     ids=["tendon", "narrow", "loop"],
 )
-def test_joints_that_share_a_motor_are_coupled(
-    tmp_path: Path,
-    fields: dict[str, str],
-    pair: tuple[str, str],
-    line: tuple[float, float],
-    limit: float,
-) -> None:
+def test_joints_that_share_a_motor_are_coupled(tmp_path, fields, pair, line, limit):
     text = FINGERS.format(**{"one": "", "two": "", "rod": "", **fields})
     if "rod" in fields:
         text = text.replace('range="0 1.5"', 'range="-0.6 0.6"').replace(
@@ -222,15 +215,7 @@ WIDE = 'range="0 0.04"'
     ],
     ids=["free driver", "inverse", "rack"],
 )
-def test_equalities_of_jaws_are_read_exactly(
-    tmp_path: Path,
-    option: str,
-    a: str,
-    b: str,
-    motor: str,
-    equality: str,
-    lines: dict[str, tuple[float, float]],
-) -> None:
+def test_equalities_of_jaws_are_read_exactly(tmp_path, option, a, b, motor, equality, lines):
     """A long time step changes nothing, and tips are at the far ends of jaws whose frames are in
     their middle."""
     hand, _ = read(tmp_path, JAWS.format(option=option, a=a, b=b, motor=motor, equality=equality))
@@ -244,7 +229,7 @@ def test_equalities_of_jaws_are_read_exactly(
 ROD = '<body name="rod" pos="0 0.03 0.02"><joint name="ball" type="ball"/><geom type="capsule" size="0.003" fromto="0 0 0 0 0 0.04"/>{}</body>'
 
 
-def test_what_a_file_does_not_give(tmp_path: Path) -> None:
+def test_what_a_file_does_not_give(tmp_path):
     """The world becomes the palm of a hand on a wrist, bodies get unused names, all joints get
     motors, and rods on ball joints are left out."""
     text = FINGERS.format(one="", two="", rod=ROD.format(""), more="").replace('name="p2" ', "")
@@ -258,7 +243,7 @@ def test_what_a_file_does_not_give(tmp_path: Path) -> None:
     assert "bodies that move freely, and rods on ball joints, are left out: 'rod'" in told
 
 
-def test_meshes_lie_where_their_files_have_them(tmp_path: Path) -> None:
+def test_meshes_lie_where_their_files_have_them(tmp_path):
     """The mesh is in a folder above the model."""
     corners = np.array([[0, 0, 0], [40, 0, 0], [0, 30, 0], [0, 0, 60], [10, 10, 50]], dtype=float)
     faces = [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 4), (1, 4, 3), (2, 3, 4)]
@@ -320,6 +305,6 @@ CARRIED = '<body name="r2"><joint name="r" axis="0 1 0"/><geom size="0.005" pos=
     ],
     ids=["no robot", "no joint", "no motor", "no mesh", "ball"],
 )
-def test_files_that_are_no_hand_are_refused(tmp_path: Path, text: str, message: str) -> None:
+def test_files_that_are_no_hand_are_refused(tmp_path, text, message):
     with pytest.raises(InvalidInputError, match=message):
         read(tmp_path, text)

@@ -6,8 +6,6 @@ import dataclasses
 import math
 import subprocess
 import sys
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -127,7 +125,7 @@ def place(simulator: Mujoco) -> np.ndarray:
 @pytest.mark.parametrize(
     "maker", [HandDescription.four_finger, crooked_hand], ids=["four_finger", "crooked"]
 )
-def test_kinematics_and_dynamics_are_the_cores(maker: Callable[[], HandDescription]) -> None:
+def test_kinematics_and_dynamics_are_the_cores(maker):
     """Frames, Jacobians, gravity torques and mass matrix, to rounding."""
     hand = maker()
     kinematics = HandKinematics(hand)
@@ -173,7 +171,7 @@ def coupled(hand: HandDescription) -> tuple[np.ndarray, np.ndarray]:
     return shift, ends
 
 
-def test_drivers_hold_coupled_and_sliding_joints() -> None:
+def test_drivers_hold_coupled_and_sliding_joints():
     """Gravity torques, none on coupled joints, hold the hand, and coupled joints follow their
     drivers."""
     hand = crooked_hand()
@@ -197,7 +195,7 @@ def test_drivers_hold_coupled_and_sliding_joints() -> None:
 
 
 @pytest.mark.parametrize("shape", ["cuboid", "sphere", "cylinder", "capsule", "mesh"])
-def test_shapes_and_hulls_touch_where_they_are(shape: str, tmp_path: Path) -> None:
+def test_shapes_and_hulls_touch_where_they_are(shape, tmp_path):
     """Each object rests on a table, a hull or a box, within 0.2 mm."""
     corners = tuple((x, y, z) for x in (-0.2, 0.2) for y in (-0.01, 0.01) for z in (-0.2, 0.2))
     mesh = {"size": (0.04,), "mesh": str(tmp_path / "cube.obj")} if shape == "mesh" else {}
@@ -217,7 +215,7 @@ def test_shapes_and_hulls_touch_where_they_are(shape: str, tmp_path: Path) -> No
         np.testing.assert_allclose(place(simulator)[:3], 0.0, atol=2e-4)
 
 
-def test_changed_mass_friction_and_gravity() -> None:
+def test_changed_mass_friction_and_gravity():
     simulator = alone(crooked_hand())
     simulator.set_object(ObjectDescription(mass=0.4, friction=0.9))
     assert simulator.model.geom_friction[-1, 0] == 0.9  # the object comes last
@@ -236,9 +234,7 @@ def test_changed_mass_friction_and_gravity() -> None:
     )
 
 
-def test_bullet_is_the_default_if_installed(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_bullet_is_the_default_if_installed(monkeypatch, caplog):
     installed = {"pybullet", "mujoco"}
     monkeypatch.setattr(
         "grasp_env.sim.engine.find_spec", lambda name: name if name in installed else None
@@ -256,7 +252,7 @@ def test_bullet_is_the_default_if_installed(
     assert caplog.messages == ["pybullet is not installed, so the default engine is MuJoCo"]
 
 
-def test_invalid_settings_and_a_missing_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_invalid_settings_and_a_missing_extra(monkeypatch):
     with pytest.raises(GraspError, match=r"impedance must .*; tolerance must"):
         MujocoEngine(impedance=(0.9, 0.5, 1e-3, 0.5, 2), tolerance=math.nan)
     with pytest.raises(InvalidInputError, match=r"opens no window: use render_mode='rgb_array'"):
@@ -270,7 +266,7 @@ def test_invalid_settings_and_a_missing_extra(monkeypatch: pytest.MonkeyPatch) -
 
 
 @pytest.fixture
-def opengl() -> None:
+def opengl():
     """Skip if MuJoCo cannot draw."""
     try:
         MujocoPainter().close()
@@ -280,7 +276,7 @@ def opengl() -> None:
 
 @pytest.mark.usefixtures("opengl")
 @pytest.mark.parametrize("shape", ["cuboid", "capsule"])
-def test_pictures_show_the_object_where_it_is(shape: str) -> None:
+def test_pictures_show_the_object_where_it_is(shape):
     """A turned object before a hand."""
     item = ObjectDescription(shape)
     top = ((0.0, 0.5 * item.extent[1], 0.0),) * 4
@@ -304,7 +300,7 @@ def test_pictures_show_the_object_where_it_is(shape: str) -> None:
 
 
 @pytest.mark.usefixtures("opengl")
-def test_visual_meshes_and_hulls_are_drawn(tmp_path: Path) -> None:
+def test_visual_meshes_and_hulls_are_drawn(tmp_path):
     """A red mesh file in millimetres and a green hull; both boxes of 2 cm, 5 cm beside the middle."""
     trimesh.creation.box((20.0, 20.0, 20.0)).export(tmp_path / "box.stl")
     corners = trimesh.creation.box((2.0, 2.0, 2.0)).vertices
@@ -331,14 +327,14 @@ def test_visual_meshes_and_hulls_are_drawn(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("opengl")
-def test_pictures_beside_pytorch() -> None:
+def test_pictures_beside_pytorch():
     """Mesa's LLVM loaded before triton's crashes Python."""
     pytest.importorskip("triton", reason="PyTorch's builds without CUDA do not bring triton")
     code = "from grasp_env.sim.picture.mujoco import MujocoPainter; painter = MujocoPainter(); import triton"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-def test_without_opengl(monkeypatch: pytest.MonkeyPatch, make_scene: Callable[..., Scene]) -> None:
+def test_without_opengl(monkeypatch, make_scene):
     monkeypatch.setitem(sys.modules, "mujoco.osmesa", None)
     monkeypatch.setenv("MUJOCO_GL", "osmesa")
     with pytest.raises(
@@ -347,7 +343,7 @@ def test_without_opengl(monkeypatch: pytest.MonkeyPatch, make_scene: Callable[..
         Camera(make_scene(**FAST))
 
 
-def test_torsional_friction() -> None:
+def test_torsional_friction():
     """A moment about its vertical axis turns a ball on a table by M t / I, unless the contact
     carries it."""
     turned = []

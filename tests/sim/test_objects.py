@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -25,9 +22,7 @@ SIZES = {
 
 
 @pytest.fixture(scope="module", params=[*SHAPES, "L"])
-def item(
-    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
-) -> ObjectDescription:
+def item(request, tmp_path_factory):
     """Each shape; the meshes are a crooked rock and an L."""
     if request.param in SHAPES_WITHOUT_MESH:
         return ObjectDescription(request.param, SIZES[request.param])
@@ -44,7 +39,7 @@ def item(
 
 
 @pytest.fixture
-def client() -> Iterator[int]:
+def client():
     made = Client()
     yield made.number
     made.close()
@@ -69,7 +64,7 @@ def inside(item: ObjectDescription, x: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("shape", SHAPES_WITHOUT_MESH)
-def test_nothing_is_nearer(shape: str) -> None:
+def test_nothing_is_nearer(shape):
     item = ObjectDescription(shape, SIZES[shape])
     sample = centers(200_000)
     within = inside(item, sample) >= 0.0
@@ -85,7 +80,7 @@ def test_nothing_is_nearer(shape: str) -> None:
 SPECIAL = ((0, 0, 0), (0, 0.02, 0), (0, 1, 0), (0.05, 0, 0), (1e-300, 0, 0), (0, 1e-200, 0))
 
 
-def test_nearest_points_are_consistent(item: ObjectDescription) -> None:
+def test_nearest_points_are_consistent(item):
     """In the middle and on axes, too; points of the surface have its normal."""
     for center in (*np.array(SPECIAL, dtype=float), *centers(200)):
         point, normal, distance = item.surface.nearest(center)
@@ -102,7 +97,7 @@ def test_nearest_points_are_consistent(item: ObjectDescription) -> None:
 
 
 @needs_bullet
-def test_bullet_has_the_same_surface(item: ObjectDescription, client: int) -> None:
+def test_bullet_has_the_same_surface(item, client):
     exact = item.shape == "mesh" and len(item.pieces) > 1
     body = create_body(client, item, exact)
     ball = bullet.createCollisionShape(bullet.GEOM_SPHERE, radius=0.01, physicsClientId=client)
@@ -130,7 +125,7 @@ def test_bullet_has_the_same_surface(item: ObjectDescription, client: int) -> No
 
 
 @pytest.mark.parametrize("shape", SHAPES_WITHOUT_MESH)
-def test_inertia_by_slices(shape: str) -> None:
+def test_inertia_by_slices(shape):
     item = ObjectDescription(shape, SIZES[shape], mass=0.3)
     across, half, deep = 0.5 * np.array(item.extent)
     y = ((np.arange(100_000) + 0.5) / 50_000 - 1.0) * half
@@ -158,7 +153,7 @@ def test_inertia_by_slices(shape: str) -> None:
         ({"inertia": (1e-4, 1e-4, 3e-4)}, "sum of the other two"),
     ],
 )
-def test_invalid_numbers(fields: dict[str, Any], message: str) -> None:
+def test_invalid_numbers(fields, message):
     with pytest.raises((InvalidInputError, UnknownNameError), match=message):
         ObjectDescription(**fields)
     with pytest.raises(InvalidInputError, match="a sphere has no faces; only shape 'mesh' has"):
@@ -188,9 +183,7 @@ UNREAD = "is not a mesh of kind|no triangles"
         ("none.obj", None, "No such file"),
     ],
 )
-def test_invalid_meshes(
-    tmp_path: Path, name: str, content: trimesh.Trimesh | bytes | None, message: str
-) -> None:
+def test_invalid_meshes(tmp_path, name, content, message):
     path = tmp_path / name
     if isinstance(content, bytes):
         path.write_bytes(content)

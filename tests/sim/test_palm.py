@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 from urdf_text import INERTIAL, finger, hand, joint, link, read
@@ -48,7 +45,7 @@ for side in "lr":
     ROBOT += chain(f"{side}arm", "waist1", 5) + fixed + hand(f"{side}palm", side)
 
 
-def test_a_hand_on_an_arm_is_the_hand_alone(tmp_path: Path) -> None:
+def test_a_hand_on_an_arm_is_the_hand_alone(tmp_path):
     """Meshes of the arm are not looked for; any link fixed to the palm may be named instead."""
     made, told = read(tmp_path, ARM, palm="palm")
     alone, nothing = read(tmp_path, hand())
@@ -72,7 +69,7 @@ def test_a_hand_on_an_arm_is_the_hand_alone(tmp_path: Path) -> None:
     assert any(shape.origin == pytest.approx((0.12, 0.0, 0.0)) for shape in there.palm.collision)
 
 
-def test_one_hand_of_a_robot_is_read(tmp_path: Path) -> None:
+def test_one_hand_of_a_robot_is_read(tmp_path):
     made, told = read(tmp_path, ROBOT, ["rt2", "rm2"], palm="rpalm")
     assert made.joint_names == ("ria", "rib", "rma", "rmb", "rta", "rtb")
     assert made.finger_names == ("rt2", "rm2")
@@ -106,9 +103,7 @@ def test_one_hand_of_a_robot_is_read(tmp_path: Path) -> None:
         (ARM, "i2", "the palm 'i2' carries no joint that moves; links that do are 'base', 'arm1'"),
     ],
 )
-def test_arms_and_robots_are_refused_with_palms(
-    tmp_path: Path, text: str, palm: str | None, words: str
-) -> None:
+def test_arms_and_robots_are_refused_with_palms(tmp_path, text, palm, words):
     with pytest.raises(InvalidInputError) as told:
         read(tmp_path, text, palm=palm)
     assert words in str(told.value)
@@ -180,14 +175,7 @@ NAIL = (
     ],
     ids=["wrist", "long fingers", "a finger", "followers", "given range", "equal limits"],
 )
-def test_joints_that_hold_still(
-    tmp_path: Path,
-    text: str,
-    options: dict[str, Any],
-    count: int,
-    words: str,
-    tilts: tuple[float, ...],
-) -> None:
+def test_joints_that_hold_still(tmp_path, text, options, count, words, tilts):
     made, told = read(tmp_path, text, **options)
     assert made.joint_count == count
     assert words in told
@@ -256,13 +244,7 @@ def gripper(limits: tuple[float, float]) -> str:
         ((-0.5, 0.5), {"joint_limits": {"left_tip_joint": (0.0, 0.1)}}, False, -0.1),
     ],
 )
-def test_rods_are_no_fingertips(
-    tmp_path: Path,
-    limits: tuple[float, float],
-    options: dict[str, Any],
-    ignored: bool,
-    lower: float,
-) -> None:
+def test_rods_are_no_fingertips(tmp_path, limits, options, ignored, lower):
     made, told = read(tmp_path, gripper(limits), **options)
     assert made.finger_names == ("left_tip", "right_tip")
     assert "rods that only move a finger are not fingertips: 'left_rod', 'right_rod'" in told
@@ -275,7 +257,7 @@ def test_rods_are_no_fingertips(
         read(tmp_path, gripper(limits), torque_limit={"left_tip_joint": 2.0})
 
 
-def test_jaws_that_meet_are_no_rods(tmp_path: Path) -> None:
+def test_jaws_that_meet_are_no_rods(tmp_path):
     text = (
         link("palm", 0.01)
         + pivot("palm", "left_crank", -0.012, 0.01)

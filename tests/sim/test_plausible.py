@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -185,9 +183,7 @@ def moment(made: Link) -> float:
         ),
     ],
 )
-def test_implausible_values_are_replaced(
-    tmp_path: Path, text: str, words: str, field: str, value: float
-) -> None:
+def test_implausible_values_are_replaced(tmp_path, text, words, field, value):
     made, told = read(tmp_path, text)
     first = made.links[-1 if text in (SEEN, UNSEEN) else 0]
     assert (moment(first) if field == "moment" else getattr(first, field)) == pytest.approx(
@@ -222,9 +218,7 @@ I1 = (0.02, (0.02, 0.0, 0.0), (4e-06, 0.0, 0.0, 5e-06, 0.0, 5e-06))
         (ENDLESS, {"joint_limits": {"ea": (-math.inf, math.inf), "eb": (0.0, 1.2)}}, "upper", 1.6),
     ],
 )
-def test_given_values_are_taken_without_a_word(
-    tmp_path: Path, text: str, options: Any, field: str, value: Any
-) -> None:
+def test_given_values_are_taken_without_a_word(tmp_path, text, options, field, value):
     made, told = read(tmp_path, text, **options)
     assert told == ""
     first = made.links[0]

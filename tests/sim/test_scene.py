@@ -9,7 +9,6 @@ import pickle
 import subprocess
 import sys
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pytest
@@ -35,7 +34,7 @@ def hold_still(scene: Scene, steps: int, wrench: np.ndarray | None = None) -> No
 
 
 @needs_bullet
-def test_changed_mass_and_friction(make_scene: Callable[..., Scene]) -> None:
+def test_changed_mass_and_friction(make_scene):
     """The hand's friction must stay 1: PyBullet resets it if some other options are set in the same
     call."""
     scene = make_scene(gravity=(0.0, 0.0, 0.0), inertia=(2e-4, 3e-4, 4e-4), friction=0.55, **FREE)
@@ -71,7 +70,7 @@ def test_changed_mass_and_friction(make_scene: Callable[..., Scene]) -> None:
     assert (scene.config.object.friction, scene.config.object.mass) == (0.7, 0.5)
 
 
-def test_free_fall_and_changed_gravity(make_scene: Callable[..., Scene]) -> None:
+def test_free_fall_and_changed_gravity(make_scene):
     """Bullet's Euler is semi-implicit: v_k = -g k dt and y_k = -g k (k + 1) dt^2 / 2, both exact
     here."""
     scene = make_scene(engine=BulletEngine(rate=2000), **FREE)
@@ -93,7 +92,7 @@ def test_free_fall_and_changed_gravity(make_scene: Callable[..., Scene]) -> None
     np.testing.assert_allclose(scene.look().rates, 0.0, atol=1e-9)
 
 
-def test_nothing_is_damped(make_scene: Callable[..., Scene]) -> None:
+def test_nothing_is_damped(make_scene):
     scene = make_scene(gravity=(0.0, 0.0, 0.0), **FREE)
     scene.step(np.full(12, 1e-4), np.array([0.0, 1.0, 0.0, 0.0, 0.002, 0.0]))
     first = np.append(scene.look().linear, scene.look().angular)
@@ -104,7 +103,7 @@ def test_nothing_is_damped(make_scene: Callable[..., Scene]) -> None:
     assert first[[1, 4]].min() > 0.0
 
 
-def test_joints_give_all_their_torque_and_no_more(make_scene: Callable[..., Scene]) -> None:
+def test_joints_give_all_their_torque_and_no_more(make_scene):
     """Even at 250 Hz, where Bullet's default limit of joint speeds would take a third of it: speed
     is linear in torque."""
     scene = make_scene(gravity=(0.0, 0.0, 0.0), **FREE)
@@ -118,9 +117,7 @@ def test_joints_give_all_their_torque_and_no_more(make_scene: Callable[..., Scen
     np.testing.assert_array_equal(speeds[2], speeds[1])  # clipped
 
 
-def test_forces_and_momentum_balance(
-    make_scene: Callable[..., Scene], make_holder: Callable, engine: Any
-) -> None:
+def test_forces_and_momentum_balance(make_scene, make_holder, engine):
     """Mean contact force + weight + wrench over a step is the change of momentum, although stiff
     contacts ring."""
     scene = make_scene(engine=dataclasses.replace(engine, rate=1000), substeps=4)
@@ -167,9 +164,7 @@ CONFIG = SceneConfig()
         ),
     ],
 )
-def test_invalid_arguments(
-    make_scene: Callable[..., Scene], call: Callable[[Scene], object], message: str
-) -> None:
+def test_invalid_arguments(make_scene, call, message):
     scene = make_scene()
     before = numbers(scene)
     with pytest.raises((InvalidInputError, SimulationError), match=message):
@@ -177,7 +172,7 @@ def test_invalid_arguments(
     np.testing.assert_array_equal(numbers(scene), before)
 
 
-def test_closed_scenes_and_copies(make_scene: Callable[..., Scene], engine: Any) -> None:
+def test_closed_scenes_and_copies(make_scene, engine):
     scene = make_scene(engine=engine)
     scene.look()
     server = scene.simulator.client.number if engine.name == "bullet" else None
@@ -203,14 +198,14 @@ def test_closed_scenes_and_copies(make_scene: Callable[..., Scene], engine: Any)
 
 @needs_bullet
 @pytest.mark.parametrize("display", ["", ":9876"])
-def test_window_without_display(monkeypatch: pytest.MonkeyPatch, display: str) -> None:
+def test_window_without_display(monkeypatch, display):
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.setenv("DISPLAY", display)
     with pytest.raises(SimulationError, match="display"):
         Client(gui=True)
 
 
-def test_nothing_is_printed() -> None:
+def test_nothing_is_printed():
     code = f"""
 from grasp_env.sim import Scene
 from grasp_env.sim.engine import ENGINES
@@ -221,7 +216,7 @@ Scene(SceneConfig(engine=ENGINES[{engine_of().name!r}]())).close()"""
 
 
 @needs_bullet
-def test_snapshots_are_those_of_bullet(held: Scene, make_holder: Callable) -> None:
+def test_snapshots_are_those_of_bullet(held, make_holder):
     """While an unknown wrench moves and turns the object."""
     holder = make_holder()
     for _ in range(30):
@@ -276,9 +271,7 @@ def test_snapshots_are_those_of_bullet(held: Scene, make_holder: Callable) -> No
 
 @needs_bullet
 @pytest.mark.parametrize("angle", [0.0, 200.0])
-def test_friction_cone_is_round(
-    make_scene: Callable[..., Scene], make_holder: Callable, angle: float
-) -> None:
+def test_friction_cone_is_round(make_scene, make_holder, angle):
     """The object is pushed sideways out of a squeeze until all tips slide: tangential over normal
     force is then mu."""
     scene = make_scene(gravity=(0.0, 0.0, 0.0))
@@ -329,7 +322,7 @@ def contact(link: int, point: np.ndarray, force: tuple[float, float, float]) -> 
 
 
 @pytest.fixture
-def reading(make_scene: Callable[..., Scene]) -> Reading:
+def reading(make_scene):
     made = Reading(make_scene())
     assert len(made.numbers) == core.reading_size(12, 0)
     assert len(contact(0, np.zeros(3), (0.0, 0.0, 0.0))) == core.reading_size(
@@ -338,7 +331,7 @@ def reading(make_scene: Callable[..., Scene]) -> Reading:
     return made
 
 
-def test_contacts_add_up_and_others_are_stray(reading: Reading) -> None:
+def test_contacts_add_up_and_others_are_stray(reading):
     link = reading.links[2]
     at = reading.touch[2]
     s = reading.look(
@@ -364,7 +357,7 @@ def test_contacts_add_up_and_others_are_stray(reading: Reading) -> None:
     ).touching.any()
 
 
-def test_readings_that_are_not_finite_are_invalid(reading: Reading) -> None:
+def test_readings_that_are_not_finite_are_invalid(reading):
     assert reading.read()
     for place, before in enumerate(reading.numbers.tolist()):
         reading.numbers[place] = np.nan if place % 2 else np.inf

@@ -12,7 +12,6 @@ from hands import numbers
 from grasp_env.errors import InvalidInputError, SimulationError, UnknownNameError
 from grasp_env.sim import ObjectDescription, Scene
 from grasp_env.sim.config import SceneConfig
-from grasp_env.sim.engine import EngineSettings
 
 PUSH = np.array([0.4, -0.3, 0.2, 0.02, -0.03, 0.01])
 
@@ -26,9 +25,7 @@ def record(scene: Scene, holder: Callable[[Scene], np.ndarray], steps: int = 40)
     return np.array(rows)
 
 
-def test_reset_is_exact(
-    make_scene: Callable[..., Scene], make_holder: Callable, engine: EngineSettings
-) -> None:
+def test_reset_is_exact(make_scene, make_holder, engine):
     """To a saved state with its contact forces, to the start without any, and after the object was
     lost."""
     first = {}
@@ -58,7 +55,7 @@ def test_reset_is_exact(
         held.reset("setled")
 
 
-def test_loading_another_object_and_back_is_exact(held: Scene, make_holder: Callable) -> None:
+def test_loading_another_object_and_back_is_exact(held, make_holder):
     """An object out of reach leaves the scene unchanged."""
     config = held.config
     held.load(config)
@@ -85,14 +82,8 @@ def test_loading_another_object_and_back_is_exact(held: Scene, make_holder: Call
 
 @pytest.mark.parametrize("push", [1e6, 1e12, 1e308])
 def test_a_reset_mends_divergence(
-    make_scene: Callable[..., Scene],
-    make_holder: Callable,
-    engine: EngineSettings,
-    push: float,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capfd: pytest.CaptureFixture[str],
-) -> None:
+    make_scene, make_holder, engine, push, tmp_path, monkeypatch, capfd
+):
     """Bullet clips speeds at 100 m/s; 1e308 makes NaN."""
     monkeypatch.chdir(tmp_path)  # MuJoCo's log lies where it runs
     scene = make_scene(engine=engine, substeps=engine.rate // 250)
@@ -119,7 +110,7 @@ def resident() -> int:
     return int(status.read_text().split()[1]) * 4096 if status.exists() else 0
 
 
-def test_memory_is_flat(held: Scene, make_holder: Callable) -> None:
+def test_memory_is_flat(held, make_holder):
     """A leaked state takes 97 kB, a leaked body 58 kB."""
     holder = make_holder()
     config = held.config

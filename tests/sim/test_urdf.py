@@ -64,7 +64,7 @@ def crooked(**options: Any) -> HandDescription:
 
 
 @pytest.mark.parametrize("name", ["allegro", "four_finger_4dof", "crooked"])
-def test_a_written_hand_reads_as_itself(tmp_path: Path, name: str) -> None:
+def test_a_written_hand_reads_as_itself(tmp_path, name):
     made = crooked() if name == "crooked" else HANDS[name]()
     path = tmp_path / "hand.urdf"
     path.write_text(hand_urdf(made))
@@ -81,7 +81,7 @@ def test_a_written_hand_reads_as_itself(tmp_path: Path, name: str) -> None:
     assert (pickle.loads(pickle.dumps(made)), hash(made)) == (made, hash(replace(made)))
 
 
-def test_a_users_hand_is_that_of_its_file() -> None:
+def test_a_users_hand_is_that_of_its_file():
     """Frames and masses are compared with PyBullet in test_kinematics."""
     made = crooked()
     names = "c_swing palm_fold b_root b_curl a_root a_curl c_curl c_hook b_hook"
@@ -98,7 +98,7 @@ def test_a_users_hand_is_that_of_its_file() -> None:
         HandDescription.from_urdf("none.urdf")
 
 
-def test_a_given_place_or_posture_places_a_hand() -> None:
+def test_a_given_place_or_posture_places_a_hand():
     here = crooked()
     place = Frame.of((0.0, 0.145, 0.02), (1.0, -0.4, 2.0))
     there = crooked(position=(0.0, 0.145, 0.02), rotation=(1.0, -0.4, 2.0))
@@ -109,7 +109,7 @@ def test_a_given_place_or_posture_places_a_hand() -> None:
     assert crooked(rotation=(0.0, 0.0, 1.0)).placed
 
 
-def test_tip_radius_makes_a_tip(tmp_path: Path) -> None:
+def test_tip_radius_makes_a_tip(tmp_path):
     made, _ = read(tmp_path, small(""), ["finger"], tip_radius=0.012)
     assert made.fingertips == (Fingertip("finger", "finger", (0.0, 0.0, 0.0), 0.012),)
     assert [shape.kind for shape in made.links[0].collision + made.links[0].visual] == [
@@ -119,12 +119,12 @@ def test_tip_radius_makes_a_tip(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("given", "limit"), [([3.0], 3.0), ({"bend": 3.0}, 3.0), ({}, 2.0)])
-def test_given_torques_count(tmp_path: Path, given: Any, limit: float) -> None:
+def test_given_torques_count(tmp_path, given, limit):
     made, told = read(tmp_path, SMALL, torque_limit=given)
     assert (made.torque_limits.tolist(), told) == ([limit], "")
 
 
-def test_coupled_and_sliding_joints_are_read(tmp_path: Path) -> None:
+def test_coupled_and_sliding_joints_are_read(tmp_path):
     made, _ = read(tmp_path, CHAINED, ["end"])
     links = {each.joint: each for each in made.links}
     assert list(links) == ["slide", "drive", "mid", "tip"]
@@ -139,7 +139,7 @@ def test_coupled_and_sliding_joints_are_read(tmp_path: Path) -> None:
     assert read(tmp_path, hand_urdf(made), ["end"])[0].links == made.links
 
 
-def test_all_faults_are_told_at_once(tmp_path: Path) -> None:
+def test_all_faults_are_told_at_once(tmp_path):
     text = CHAINED.replace('multiplier="1.5"', 'multiplier="x"').replace('lower="-1"', 'lower="2"')
     text = text.replace('<sphere radius="0.01"/>', '<mesh filename="no.stl"/>')
     with pytest.raises(InvalidInputError) as told:
@@ -155,7 +155,7 @@ def test_all_faults_are_told_at_once(tmp_path: Path) -> None:
     assert str(told.value).count(str(tmp_path / "hand.urdf")) == 1
 
 
-def test_all_repairs_are_told_at_once(tmp_path: Path) -> None:
+def test_all_repairs_are_told_at_once(tmp_path):
     look = '<visual><geometry><mesh filename="a.glb"/></geometry></visual>'
     (tmp_path / "a.glb").touch()
     text = small(SPHERE + look).replace(INERTIAL, "").replace('effort="2"', 'effort="0"')
@@ -168,7 +168,7 @@ def test_all_repairs_are_told_at_once(tmp_path: Path) -> None:
         assert repair in told
 
 
-def test_links_with_too_little_inertia_get_a_rotor(tmp_path: Path) -> None:
+def test_links_with_too_little_inertia_get_a_rotor(tmp_path):
     made, told = read(tmp_path, SMALL.replace("1e-5", "1e-7"), rotor_inertia=None)
     assert (
         "end links have less inertia than any geared motor: finger get a rotor of 0.0001 kg m^2"
@@ -180,7 +180,7 @@ def test_links_with_too_little_inertia_get_a_rotor(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("given", [(1e-5, 0, 0, 1e-5, 0, 9e-5), (1e-5, 5e-5, 0, 1e-5, 0, 1e-5)])
-def test_impossible_inertias_become_the_nearest(tmp_path: Path, given: tuple[float, ...]) -> None:
+def test_impossible_inertias_become_the_nearest(tmp_path, given):
     """The largest moment exceeds the sum of the others, or one is negative; the palm's inertia is
     not judged."""
     row = " ".join(
@@ -260,9 +260,7 @@ RATIO = 'multiplier="1.5"'
         ),
     ],
 )
-def test_files_that_are_no_hand_are_refused(
-    tmp_path: Path, old: str, new: str, message: str
-) -> None:
+def test_files_that_are_no_hand_are_refused(tmp_path, old, new, message):
     text, tip = (SMALL, "finger") if old in SMALL else (CHAINED, "end")
     assert old in text
     with pytest.raises(InvalidInputError, match=message):
@@ -306,12 +304,12 @@ def test_files_that_are_no_hand_are_refused(
         ({"palm": ""}, "palm='' must be a name"),
     ],
 )
-def test_wrong_arguments_are_refused(tmp_path: Path, options: dict[str, Any], message: str) -> None:
+def test_wrong_arguments_are_refused(tmp_path, options, message):
     with pytest.raises(InvalidInputError, match=message):
         read(tmp_path, hand(), **options)
 
 
-def test_angles_and_matrices_are_the_same_rotation() -> None:
+def test_angles_and_matrices_are_the_same_rotation():
     rng = np.random.default_rng(0)
     quarter = np.pi / 2
     cases = [

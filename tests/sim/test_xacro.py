@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 from pathlib import Path
-from typing import Any
 
 import pytest
 from urdf_text import SMALL_HAND, SPACE, joint, link, read, xacro_hand
@@ -25,9 +24,7 @@ def package(folder: Path, **files: str) -> Path:
     return folder
 
 
-def test_files_beside_it_and_in_packages_are_read(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_files_beside_it_and_in_packages_are_read(tmp_path, monkeypatch):
     """In folders above, in packages beside them, in those of ROS, and through the links that ROS
     installs."""
     part = f'<robot {SPACE}><xacro:property name="{{}}" value="{{}}"/></robot>'
@@ -58,7 +55,7 @@ def test_files_beside_it_and_in_packages_are_read(
     assert HandDescription.from_file(installed / "urdf" / "hand.xacro") == made
 
 
-def test_macros_are_called(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_macros_are_called(tmp_path, monkeypatch):
     ends = ("${-pi/4}", "${pi/4}")
     finger = joint("${name}_joint", "palm", "${name}", "0 ${y} 0", ends) + link("${name}")
     macro = f'<xacro:macro name="finger" params="name y">{finger}</xacro:macro>'
@@ -100,7 +97,7 @@ ARGUMENTS = xacro_hand(
         ({"side": True, "size": 0.5}, "True_0.5"),
     ],
 )
-def test_arguments_are_given(tmp_path: Path, given: dict[str, Any], name: str) -> None:
+def test_arguments_are_given(tmp_path, given, name):
     assert read(tmp_path, ARGUMENTS, name="hand.xacro", xacro_args=given)[0].name == name
 
 
@@ -122,7 +119,7 @@ def test_arguments_are_given(tmp_path: Path, given: dict[str, Any], name: str) -
         ("side", "xacro_args='side' must be a dict"),
     ],
 )
-def test_wrong_arguments_are_named(tmp_path: Path, given: Any, message: str) -> None:
+def test_wrong_arguments_are_named(tmp_path, given, message):
     with pytest.raises(InvalidInputError, match=message):
         read(tmp_path, ARGUMENTS, name="hand.xacro", xacro_args=given)
 
@@ -151,9 +148,7 @@ def test_wrong_arguments_are_named(tmp_path: Path, given: Any, message: str) -> 
         ),
     ],
 )
-def test_options_that_do_not_fit_a_file(
-    tmp_path: Path, name: str, text: str, options: dict[str, Any], message: str
-) -> None:
+def test_options_that_do_not_fit_a_file(tmp_path, name, text, options, message):
     with pytest.raises(InvalidInputError, match=message):
         read(tmp_path, text, name=name, **options)
 
@@ -161,7 +156,7 @@ def test_options_that_do_not_fit_a_file(
 @pytest.mark.parametrize(
     "words", ['<xacro:include filename="a.xacro"/>', "<x y=\"${xacro.load_yaml('a.xacro')}\"/>"]
 )
-def test_pointers_among_its_files_are_named(tmp_path: Path, words: str) -> None:
+def test_pointers_among_its_files_are_named(tmp_path, words):
     (tmp_path / "a.xacro").write_text(
         "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 9\n"
     )
@@ -171,9 +166,7 @@ def test_pointers_among_its_files_are_named(tmp_path: Path, words: str) -> None:
         read(tmp_path, xacro_hand(words), name="hand.xacro")
 
 
-def test_other_versions_of_xacro_are_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_other_versions_of_xacro_are_refused(tmp_path, monkeypatch):
     """ROS puts its own version in front."""
     module = tmp_path / "ros" / "xacro"
     module.mkdir(parents=True)
@@ -187,7 +180,7 @@ def test_other_versions_of_xacro_are_refused(
         read(tmp_path, xacro_hand(), name="hand.xacro")
 
 
-def test_a_file_of_the_root_reads_its_neighbours() -> None:
+def test_a_file_of_the_root_reads_its_neighbours():
     root = Path("/")
     assert _is_inside(root / "sizes.yaml", root)
     assert not _is_inside(root / "etc" / "passwd", root)
