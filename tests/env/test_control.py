@@ -210,11 +210,8 @@ def test_a_finger_slips_off_and_comes_back(finger):
 def test_lost_closure_ends_the_episode():
     trial = Trial((1, 2, 3), range(51, 251), limits={"max_drift": 10.0, "max_tilt": 3.0})
     last = trial.infos[-1]
-    assert (last["failure"], last["is_success"], last["force_closure"]) == (
-        "closure_lost",
-        False,
-        False,
-    )
+    assert last["failure"] == "closure_lost"
+    assert (last["is_success"], last["force_closure"]) == (False, False)
     assert (last["contacts"] <= 1, last["status"] in ("none", "failed")) == (True, True)
     lost = [info["force_closure"] for info in trial.infos].index(False)
     assert 5 <= len(trial.infos) - lost <= 7  # max_contact_gap = 0.1 s, at 50 Hz

@@ -21,12 +21,8 @@ def whole(drift: float = np.inf, steps: int = 100, **settings: Any) -> list[dict
     less than so [m]."""
     infos = episode(None, **settings)[1]
     last = infos[-1]
-    assert (len(infos), last["truncated"], last["terminated"], last["is_success"]) == (
-        steps,
-        True,
-        False,
-        True,
-    )
+    assert (len(infos), last["is_success"]) == (steps, True)
+    assert (last["truncated"], last["terminated"]) == (True, False)
     assert last["time"] == pytest.approx(steps / 50)
     for info in infos:
         assert info["touching"].all()
@@ -173,9 +169,6 @@ def test_every_object_is_held(settings):
 
 def test_rates_that_differ_hold():
     infos = episode(None, agent={"rate": 25}, engine={"name": "bullet", "rate": 1000})[1]
-    assert (len(infos), infos[-1]["is_success"], infos[-1]["time"]) == (
-        50,
-        True,
-        pytest.approx(2.0),
-    )
+    assert (len(infos), infos[-1]["is_success"]) == (50, True)
+    assert infos[-1]["time"] == pytest.approx(2.0)
     assert max(info["drift"] for info in infos) < 1e-3

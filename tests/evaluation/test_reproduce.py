@@ -56,11 +56,8 @@ def test_iterations_are_those_of_the_optimizer(found):
             best = newton.solve(loads[k])
             row = mine.iloc[k]
             run = flow.solve(loads[k], optimum=best.objective)
-            assert (row["iterations"], row["trials"], row["status"]) == (
-                run.iterations,
-                run.trials,
-                "optimal",
-            )
+            assert row["status"] == "optimal"
+            assert (row["iterations"], row["trials"]) == (run.iterations, run.trials)
             least = ForceOptimizer(GRASP, method="conic").solve(loads[k]).total_normal_force
             assert row["force_excess"] == pytest.approx(
                 best.total_normal_force / least - 1.0, rel=1e-4

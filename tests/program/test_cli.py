@@ -98,11 +98,8 @@ def test_faults_and_interrupts_have_their_own_codes(monkeypatch, capsys):
 
         monkeypatch.setattr(Solve, "execute", fail)
         found, answered, err = answer("solve", capsys)
-        assert (found, answered["error"]["exit_code"], answered["error"]["kind"]) == (
-            code,
-            code,
-            type(error).__name__,
-        )
+        assert answered["error"]["kind"] == type(error).__name__
+        assert found == answered["error"]["exit_code"] == code
         assert message in err
     assert {code for code, *_ in ENDS.values()} | {0, 1, 130} == set(EXIT_CODES)
 
@@ -120,12 +117,8 @@ def test_json_answers_certify_and_limits_hold(capsys):
     assert (normals > 3.0).all()
     assert np.min(found["force"], axis=0)[0] < 1.0
     code, found, _ = answer(f"solve {LIMITED}", capsys)
-    assert (code, found["status"], found["force"], found["wrench"]) == (
-        3,
-        "infeasible",
-        None,
-        [0, 0, 50, 0, 0, 0],
-    )
+    assert (code, found["status"], found["force"]) == (3, "infeasible", None)
+    assert found["wrench"] == [0, 0, 50, 0, 0, 0]
     assert np.dot(found["separating_twist"], found["wrench"]) > 0.0
     code, found, _ = answer(f"solve {LARGE}", capsys)
     assert (code, found["status"], np.shape(found["force"])) == (4, "iteration_limit", (4, 3))

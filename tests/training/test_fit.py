@@ -220,10 +220,8 @@ def test_a_grasp_of_a_file_becomes_a_model(contacts, low, tmp_path, capsys):
     rule = LearnedInitialForce.load(out)
     grasp = load_grasp(file)
     card = rule.checkpoint.card
-    assert (card["grasp"]["file"], card["grasp"]["positions"]) == (
-        "mine.json",
-        contacts["positions"],
-    )
+    assert card["grasp"]["file"] == "mine.json"
+    assert card["grasp"]["positions"] == contacts["positions"]
     assert (card["quick"], card["command"]) == (True, " ".join(["grasp", *sys.argv[1:]]))
     assert card["config"]["friction_low"] == pytest.approx(low, rel=0.1)
     source = Source(grasp, (0.1, 20.0), (0.3, 0.6), False)
