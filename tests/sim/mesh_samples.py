@@ -200,108 +200,73 @@ VALID: dict[str, tuple[str, bytes]] = {
 """Kind and content of valid files, by name."""
 
 ENTITIES = "".join(f'<!ENTITY e{k} "{f"&e{k - 1};" * 10 if k else "1 " * 10}">' for k in range(10))
+_THREE = b"v 0 0 0\nv 1 0 0\nv 0 1 0\n"
 _NODES = "<node>" * 50_000 + "</node>" * 50_000
-WRONG: dict[str, tuple[str, bytes, str]] = {
+WRONG: dict[str, tuple[bytes, str]] = {
     "obj: 250,000 faces": (
-        ".obj",
-        b"v 0 0 0\nv 1 0 0\nv 0 1 0\n" + b"f 1 2 3\n" * 250_000,
+        _THREE + b"f 1 2 3\n" * 250_000,
         "has 250000 faces, allowed are up to 200000 .* pip install",
     ),
-    "obj: corners from 0": (
-        ".obj",
-        b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n",
-        "count corners from 0; .* add 1",
-    ),
-    "obj: a corner that is not there": (
-        ".obj",
-        b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n",
-        "corners that do not exist",
-    ),
+    "obj: corners from 0": (_THREE + b"f 0 1 2\n", "count corners from 0; .* add 1"),
+    "obj: a corner that is not there": (_THREE + b"f 1 2 4\n", "corners that do not exist"),
     "obj: corners behind faces that count backwards": (
-        ".obj",
-        b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf -1 -2 -3\nv 0 0 1\n",
+        _THREE + b"f -1 -2 -3\nv 0 0 1\n",
         "indices from 1",
     ),
-    "obj: decimal commas": (
-        ".obj",
-        b"v 0,5 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n",
-        "could not be read as .obj",
-    ),
-    "obj: an stl": (".obj", stl(4, _STL), "holds no triangles"),
-    "obj: far away": (".obj", b"v 0 0 1e9\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "not finite or above 1e6"),
-    "stl: cut short": (".stl", stl(4, _STL)[:-1], "neither a whole binary file"),
+    "obj: decimal commas": (b"v 0,5 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "could not be read as .obj"),
+    "obj: an stl": (stl(4, _STL), "holds no triangles"),
+    "obj: far away": (b"v 0 0 1e9\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "not finite or above 1e6"),
+    "stl: cut short": (stl(4, _STL)[:-1], "neither a whole binary file"),
     "stl: words cut short": (
-        ".stl",
         b"solid a\n" + _TWO[0],
         "neither a whole binary file nor a text from `solid` to `endsolid`",
     ),
     "ply: words cut short": (
-        ".ply",
         ply("ascii", 4, 4, _PLACES + _TEXT_FACES[:-8]),
         "cut short: it claims 8 lines of numbers but has 7",
     ),
-    "ply: a billion": (
-        ".ply",
-        ply("binary_little_endian", 10**9, 1, b""),
-        "could not be read as .ply",
-    ),
+    "ply: a billion": (ply("binary_little_endian", 10**9, 1, b""), "could not be read as .ply"),
     "ply: a corner below 0": (
-        ".ply",
         ply("ascii", 4, 4, _PLACES + _TEXT_FACES.replace(b"3 0", b"3 -1")),
         "corners that do not exist",
     ),
-    "off: cut short": (".off", b"OFF\n4 4 6\n" + _PLACES + _TEXT_FACES[:-8], "cut short"),
-    "off: a page": (".off", b"a page", "does not begin with OFF"),
+    "off: cut short": (b"OFF\n4 4 6\n" + _PLACES + _TEXT_FACES[:-8], "cut short"),
+    "off: a page": (b"a page", "does not begin with OFF"),
     "glb: a view beyond the bytes": (
-        ".glb",
         tetrahedron(bufferViews__0__byteLength=10**9),
         "could not be read as .glb",
     ),
     "glb: another file": (
-        ".glb",
         tetrahedron(buffers__0__uri="/etc/passwd"),
         "refers to the file '/etc/passwd'",
     ),
     "glb: an address": (
-        ".glb",
         tetrahedron(buffers__0__uri="http://127.0.0.1/a"),
         "refers to the file 'http://127.0.0.1/a'",
     ),
     "glb: Draco": (
-        ".glb",
         tetrahedron(extensionsRequired=["KHR_draco_mesh_compression"]),
         "KHR_draco.* export it uncompressed",
     ),
-    "glb: fans": (".glb", tetrahedron(meshes__0__primitives__0__mode=6), "triangle fans"),
-    "dae: entities": (
-        ".dae",
-        dae(head=f"<!DOCTYPE COLLADA [{ENTITIES}]>", faces="&e9;"),
-        "DOCTYPE",
-    ),
+    "glb: fans": (tetrahedron(meshes__0__primitives__0__mode=6), "triangle fans"),
+    "dae: entities": (dae(head=f"<!DOCTYPE COLLADA [{ENTITIES}]>", faces="&e9;"), "DOCTYPE"),
     "dae: a circle": (
-        ".dae",
         dae('<node id="n"><instance_node url="#n"/></node>'),
         "could not be read as .dae",
     ),
     "dae: a skin": (
-        ".dae",
         dae('<node><instance_controller url="#c"/></node>'),
         "could not be read as .dae",
     ),
-    "dae: nodes in one another": (".dae", dae(_NODES), "nested too deep|exit code"),
+    "dae: nodes in one another": (dae(_NODES), "nested too deep|exit code"),
     "dae: not a number": (
-        ".dae",
         dae().replace(b"\n1 0 0", b"\nnan 0 0"),
         "coordinates that are not numbers",
     ),
-    "dae: a corner below 0": (
-        ".dae",
-        dae().replace(b"<p>0 0", b"<p>-1 0"),
-        "corners that do not exist",
-    ),
-    "dae: strided": (".dae", dae().replace(b'stride="3"', b'stride="4"'), "strided"),
+    "dae: a corner below 0": (dae().replace(b"<p>0 0", b"<p>-1 0"), "corners that do not exist"),
+    "dae: strided": (dae().replace(b'stride="3"', b'stride="4"'), "strided"),
 }
-"""Kind, content and fragment of the message of wrong files, by name."""
+"""Content and fragment of the message of wrong files, by kind and name."""
 HEAVY = tetrahedron(
     accessors=[
         {"componentType": 5126, "count": 200_000_000, "type": "VEC3"},

@@ -75,9 +75,12 @@ def test_files_are_read_as_trimesh_reads_them(tmp_path):
 
 def test_wrong_files_are_told_in_one_sentence_each():
     told = read_meshes(
-        [MeshFile(blob, kind, f"the mesh {name}") for name, (kind, blob, _) in WRONG.items()]
+        [
+            MeshFile(blob, f".{name.partition(':')[0]}", f"the mesh {name}")
+            for name, (blob, _) in WRONG.items()
+        ]
     )
-    for (name, (_, _, message)), error in zip(WRONG.items(), told, strict=True):
+    for (name, (_, message)), error in zip(WRONG.items(), told, strict=True):
         assert isinstance(error, InvalidInputError), name
         assert re.fullmatch(rf"the mesh {re.escape(name)} .*({message}).*", str(error)), (
             name,
