@@ -161,18 +161,18 @@ def test_an_episode_lasts_as_long_as_its_spec_says(settings, steps):
         made.close()
 
 
-@pytest.mark.parametrize(
-    ("settings", "reason"),
-    [
-        ({"method": "newton"}, "Newton|newton"),
-        ({"method": "conic"}, "no start"),
-        ({"controller": {"kind": "pd"}}, "does not optimise"),
-        ({"object": {"torsional_friction": 0.01}}, "soft contacts"),
-        ({"initial_force": "previous"}, ""),
-        ({"method": "newton", "action_mode": "none"}, ""),
-        ({"action_mode": "contact_force"}, ""),
-    ],
-)
+REASONS = [
+    ({"method": "newton"}, "Newton|newton"),
+    ({"method": "conic"}, "no start"),
+    ({"controller": {"kind": "pd"}}, "does not optimise"),
+    ({"object": {"torsional_friction": 0.01}}, "soft contacts"),
+    ({"initial_force": "previous"}, ""),
+    ({"method": "newton", "action_mode": "none"}, ""),
+    ({"action_mode": "contact_force"}, ""),
+]
+
+
+@pytest.mark.parametrize(("settings", "reason"), REASONS)
 def test_actions_without_effect_are_warned_of(settings, reason, recwarn):
     gym.make(ID, **settings).close()
     assert len(recwarn) == bool(reason)

@@ -142,27 +142,20 @@ def test_bullet_sees_no_other_contact():
         client.close()
 
 
+NOT_HELD = [
+    (ObjectDescription("cuboid", (0.3, 0.3, 0.3)), FOUR, "into the palm"),
+    (ObjectDescription("cuboid", (0.08, 0.08, 0.08), friction=0.001), FOUR, "raise the friction"),
+    (ObjectDescription("sphere"), replace(FOUR, fingertips=FOUR.fingertips[:2]), "more fingers"),
+    (
+        ObjectDescription("sphere", (0.05,)),
+        FOUR.moved((0.0, 0.3, 0.0)),
+        r"'thumb' finds no place on it.*\d+ out of reach",
+    ),
+]
+
+
 @pytest.mark.parametrize(
-    ("item", "hand", "message"),
-    [
-        (ObjectDescription("cuboid", (0.3, 0.3, 0.3)), FOUR, "into the palm"),
-        (
-            ObjectDescription("cuboid", (0.08, 0.08, 0.08), friction=0.001),
-            FOUR,
-            "raise the friction",
-        ),
-        (
-            ObjectDescription("sphere"),
-            replace(FOUR, fingertips=FOUR.fingertips[:2]),
-            "more fingers",
-        ),
-        (
-            ObjectDescription("sphere", (0.05,)),
-            FOUR.moved((0.0, 0.3, 0.0)),
-            r"'thumb' finds no place on it.*\d+ out of reach",
-        ),
-    ],
-    ids=["large", "slippery", "two fingers", "far"],
+    ("item", "hand", "message"), NOT_HELD, ids=["large", "slippery", "two fingers", "far"]
 )
 def test_objects_that_cannot_be_held(item, hand, message):
     with pytest.raises(InvalidInputError, match=message):

@@ -112,49 +112,47 @@ NEXT = make_link("b", "a")
 THUMB = FingerDescription("good", (0.0, 0.1, 0.0), press=(0.0, 0.0, 1.0))
 
 
+IMPOSSIBLE = [
+    (partial(make_link, mass=0.0), r"link 'a': mass \[kg\] must be a number > 0"),
+    (partial(make_link, axis=(0, 0, 2)), "axis=.* must have length 1, not 2; normalise it"),
+    (partial(make_link, lower=1.0, upper=-1.0), "lower=1.0 must be below upper=-1.0"),
+    (partial(make_link, inertia=(1e-5, 2e-5, 0, 1e-5, 0, 1e-5)), "all must be above 0"),
+    (
+        partial(make_link, inertia=(1e-5, 0, 0, 1e-5, 0, 3e-5)),
+        "the largest is below the sum of the other two",
+    ),
+    (partial(hand, 3), "must be a list of Links"),
+    (partial(hand, [3]), "got 3 in it"),
+    (partial(hand, [GOOD], ()), "fingertips=.. is empty"),
+    (partial(hand, [NEXT, GOOD]), "parent 'a' of link 'b' stands after it"),
+    (
+        partial(hand, [GOOD, make_link("b", "c")]),
+        "parent 'c' of link 'b' is not a link; known are palm, a",
+    ),
+    (partial(hand, [GOOD, GOOD]), "two links are called 'a'"),
+    (partial(hand, [GOOD, make_link("b", joint="a_joint")]), "two joints are called 'a_joint'"),
+    (partial(hand, [GOOD], (TIP, TIP)), "two fingertips are called 'a'"),
+    (
+        partial(hand, [GOOD], (replace(TIP, link="palm"),)),
+        "is on link 'palm', which does not move .*moving links are a",
+    ),
+    (
+        partial(hand, [GOOD], home=(2.0,)),
+        "home=2.0 rad of joint 'a_joint' must be within its limits",
+    ),
+    (partial(Geometry, "cone", (1.0,)), "unknown kind of geometry 'cone': choose one of 'sphere'"),
+    (partial(Geometry, "capsule", (1.0,)), r"size \(radius, length\).* must have shape \(2,\)"),
+    (partial(Geometry, "box", (1.0, 0.0, 1.0)), "m must be above 0"),
+    (partial(of_thumb, press=(0.0, -1.0, 0.0)), "must be orthogonal"),
+    (partial(of_thumb, link_lengths=(0.1, 0.1)), "link_lengths"),
+    (partial(of_thumb, joint_lower=(2.0, 0.0, 0.0)), "joint_lower"),
+    (partial(of_thumb, joint_upper=(1.0, 1.0, 1.0, 1.0)), "joint_upper"),
+    (partial(HandDescription.of_fingers, []), "is empty"),
+]
+
+
 @pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (partial(make_link, mass=0.0), r"link 'a': mass \[kg\] must be a number > 0"),
-        (partial(make_link, axis=(0, 0, 2)), "axis=.* must have length 1, not 2; normalise it"),
-        (partial(make_link, lower=1.0, upper=-1.0), "lower=1.0 must be below upper=-1.0"),
-        (partial(make_link, inertia=(1e-5, 2e-5, 0, 1e-5, 0, 1e-5)), "all must be above 0"),
-        (
-            partial(make_link, inertia=(1e-5, 0, 0, 1e-5, 0, 3e-5)),
-            "the largest is below the sum of the other two",
-        ),
-        (partial(hand, 3), "must be a list of Links"),
-        (partial(hand, [3]), "got 3 in it"),
-        (partial(hand, [GOOD], ()), "fingertips=.. is empty"),
-        (partial(hand, [NEXT, GOOD]), "parent 'a' of link 'b' stands after it"),
-        (
-            partial(hand, [GOOD, make_link("b", "c")]),
-            "parent 'c' of link 'b' is not a link; known are palm, a",
-        ),
-        (partial(hand, [GOOD, GOOD]), "two links are called 'a'"),
-        (partial(hand, [GOOD, make_link("b", joint="a_joint")]), "two joints are called 'a_joint'"),
-        (partial(hand, [GOOD], (TIP, TIP)), "two fingertips are called 'a'"),
-        (
-            partial(hand, [GOOD], (replace(TIP, link="palm"),)),
-            "is on link 'palm', which does not move .*moving links are a",
-        ),
-        (
-            partial(hand, [GOOD], home=(2.0,)),
-            "home=2.0 rad of joint 'a_joint' must be within its limits",
-        ),
-        (
-            partial(Geometry, "cone", (1.0,)),
-            "unknown kind of geometry 'cone': choose one of 'sphere'",
-        ),
-        (partial(Geometry, "capsule", (1.0,)), r"size \(radius, length\).* must have shape \(2,\)"),
-        (partial(Geometry, "box", (1.0, 0.0, 1.0)), "m must be above 0"),
-        (partial(of_thumb, press=(0.0, -1.0, 0.0)), "must be orthogonal"),
-        (partial(of_thumb, link_lengths=(0.1, 0.1)), "link_lengths"),
-        (partial(of_thumb, joint_lower=(2.0, 0.0, 0.0)), "joint_lower"),
-        (partial(of_thumb, joint_upper=(1.0, 1.0, 1.0, 1.0)), "joint_upper"),
-        (partial(HandDescription.of_fingers, []), "is empty"),
-    ],
-    ids=lambda value: value if isinstance(value, str) else "",
+    ("make", "message"), IMPOSSIBLE, ids=lambda value: value if isinstance(value, str) else ""
 )
 def test_impossible_parts_and_hands_are_refused(make, message):
     assert hand([GOOD, NEXT]).joint_count == 2

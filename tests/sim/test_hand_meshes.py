@@ -80,19 +80,19 @@ def test_meshes_are_found_and_become_hulls(tmp_path, name):
 CORNERS = b"v 0 0 0\nv 1 0 0\nv 0 1 0\n"
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "why"),
-    [
-        ("a.obj", CORNERS + b"f 1 2 3\n", ""),
-        ("a.glb", b"glTF", "are not one of .obj, .stl, .dae"),
-        ("a.obj", b"", "are broken"),
-        # Bullet would read beyond its corners, and crash
-        ("a.obj", CORNERS + b"f 1 2 4\n", "are broken"),
-        ("a.obj", b"f 1 2 3\n" + CORNERS, "are broken"),
-        ("a.stl", bytes(10), "are empty"),
-        ("a.stl", None, "are missing"),
-    ],
-)
+LOOKS = [
+    ("a.obj", CORNERS + b"f 1 2 3\n", ""),
+    ("a.glb", b"glTF", "are not one of .obj, .stl, .dae"),
+    ("a.obj", b"", "are broken"),
+    # Bullet would read beyond its corners, and crash
+    ("a.obj", CORNERS + b"f 1 2 4\n", "are broken"),
+    ("a.obj", b"f 1 2 3\n" + CORNERS, "are broken"),
+    ("a.stl", bytes(10), "are empty"),
+    ("a.stl", None, "are missing"),
+]
+
+
+@pytest.mark.parametrize(("name", "content", "why"), LOOKS)
 def test_looks_that_cannot_be_drawn_are_left_out(tmp_path, name, content, why):
     if content is not None:
         (tmp_path / name).write_bytes(content)
@@ -302,22 +302,25 @@ def write_dae(folder: Path, asset: str) -> None:
     (folder / "a.dae").write_text(text.replace("</asset>", f"{asset}</asset>"))
 
 
+NO_MESH = [
+    (
+        "a.obj",
+        b"v 60 0 0\nv 1 0 0\nv 0 50 0\nv 0 0 40\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n",
+        'are 1e-05 to 5; .* scale="0.001',
+    ),
+    ("a.obj", b"v 0 0 0\nv 0 0 0\nv 0 0 0\nf 1 2 3\n", "all its faces are lines or points"),
+    ("a.txt", b"", "of no kind that is read"),
+    ("/dev/zero", None, "neither beside the URDF nor"),
+    ("http://example.org/a.obj", None, "only file://, package:// and plain paths"),
+    ("a" * 5000 + ".obj", None, "neither beside the URDF nor"),
+    ("", None, "lacks filename="),
+    ("a.dae", "inch", '<unit meter="inch">, which must be a number of metres above 0'),
+]
+
+
 @pytest.mark.parametrize(
     ("name", "content", "message"),
-    [
-        (
-            "a.obj",
-            b"v 60 0 0\nv 1 0 0\nv 0 50 0\nv 0 0 40\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n",
-            'are 1e-05 to 5; .* scale="0.001',
-        ),
-        ("a.obj", b"v 0 0 0\nv 0 0 0\nv 0 0 0\nf 1 2 3\n", "all its faces are lines or points"),
-        ("a.txt", b"", "of no kind that is read"),
-        ("/dev/zero", None, "neither beside the URDF nor"),
-        ("http://example.org/a.obj", None, "only file://, package:// and plain paths"),
-        ("a" * 5000 + ".obj", None, "neither beside the URDF nor"),
-        ("", None, "lacks filename="),
-        ("a.dae", "inch", '<unit meter="inch">, which must be a number of metres above 0'),
-    ],
+    NO_MESH,
     ids=["millimetres", "a point", "kind", "device", "address", "long", "no name", "inches"],
 )
 def test_files_that_are_no_mesh_are_refused(tmp_path, name, content, message):

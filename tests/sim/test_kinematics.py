@@ -186,23 +186,19 @@ def test_solve_starts_where_it_is_told_and_stays_near():
     np.testing.assert_array_equal(angles[~own], kinematics.home[~own])
 
 
-@pytest.mark.parametrize(
-    ("finger", "tip", "message"),
-    [
-        (
-            2,
-            (-0.03, -0.2, 0.06),
-            r"'left' cannot reach.*it is 0\.3367 m.*up to 0\.1850 m; move the",
-        ),
-        # on the second joint: the knee would have to fold beyond itself
-        (1, (0.0, 0.1, 0.105), r"'middle' cannot reach.*nearest its tip comes is 0\.0413 m"),
-        (
-            0,
-            (0.13, 0.13, -0.08),
-            r"'thumb' reaches .* only beyond its joint limits: thumb_knuckle_joint = 1\.532 rad, allowed are -1\.000",
-        ),
-    ],
-)
+OUT_OF_REACH = [
+    (2, (-0.03, -0.2, 0.06), r"'left' cannot reach.*it is 0\.3367 m.*up to 0\.1850 m; move the"),
+    # on the second joint: the knee would have to fold beyond itself
+    (1, (0.0, 0.1, 0.105), r"'middle' cannot reach.*nearest its tip comes is 0\.0413 m"),
+    (
+        0,
+        (0.13, 0.13, -0.08),
+        r"'thumb' reaches .* only beyond its joint limits: thumb_knuckle_joint = 1\.532 rad, allowed are -1\.000",
+    ),
+]
+
+
+@pytest.mark.parametrize(("finger", "tip", "message"), OUT_OF_REACH)
 def test_tips_out_of_reach_are_refused(finger, tip, message):
     kinematics = HandKinematics(HandDescription.four_finger())
     tips = NOMINAL.copy()

@@ -166,19 +166,19 @@ def test_list_and_clear(tmp_path, answer, capsys):
     assert list(folder().iterdir()) == []
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ("show", "needs a FILE"),
-        ("list {ball}", "belongs to `grasp object show` and `grasp object mend`"),
-        ("show {ball} --out a.obj", "--out belongs to `grasp object mend`"),
-        ("show {ball} --draw a.jpg", "must end in .png"),
-        ("show {ball} --scale 100", "give --scale 0.001"),
-        ("show {ball} --size 1", "size must be an integer >= 16"),
-        ("mend nowhere.txt", ".obj, .stl"),
-        ("show {ball} --draw /nowhere/a.png", "/nowhere"),
-    ],
-)
+WRONG = [
+    ("show", "needs a FILE"),
+    ("list {ball}", "belongs to `grasp object show` and `grasp object mend`"),
+    ("show {ball} --out a.obj", "--out belongs to `grasp object mend`"),
+    ("show {ball} --draw a.jpg", "must end in .png"),
+    ("show {ball} --scale 100", "give --scale 0.001"),
+    ("show {ball} --size 1", "size must be an integer >= 16"),
+    ("mend nowhere.txt", ".obj, .stl"),
+    ("show {ball} --draw /nowhere/a.png", "/nowhere"),
+]
+
+
+@pytest.mark.parametrize(("words", "message"), WRONG)
 def test_errors_are_one_line(words, message, tmp_path, capsys):
     ball = save(tmp_path / "ball.obj", CORNERS, FACES)
     assert main(["object", *words.format(ball=ball).split()]) == 2

@@ -123,40 +123,41 @@ TENDON = (
 )
 
 
+COUPLED = [
+    # springs share the motion of a tendon over both joints 1 : 2
+    (
+        {
+            "one": 'stiffness="0.4" springref="0"',
+            "two": 'stiffness="0.1" springref="0"',
+            "more": TENDON.format('name="t"', 0.02, 0.01)
+            + '<actuator><motor tendon="t" ctrlrange="0 12" forcerange="0 50" forcelimited="true"/><motor joint="k1"/></actuator>',
+        },
+        ("j2", "j1"),
+        (0.5, 0.0),
+        50.0 * (0.01 + 0.02 * 0.5),
+    ),
+    # a range of a tendon so narrow that it couples
+    (
+        {"more": TENDON.format('limited="true" range="-0.0005 0.0005"', 0.01, -0.01) + MOTORS},
+        ("j1", "j2"),
+        (1.0, 0.0),
+        3.0,
+    ),
+    # rod and first link are a parallelogram: the second link keeps its direction
+    (
+        {
+            "rod": LOOP,
+            "more": f'<equality><connect body1="rod" body2="p2" anchor="0 0 0.04"/></equality>{MOTORS}',
+        },
+        ("j1", "j2"),
+        (-1.0, 0.0),
+        3.0,
+    ),
+]
+
+
 @pytest.mark.parametrize(
-    ("fields", "pair", "line", "limit"),
-    [
-        # springs share the motion of a tendon over both joints 1 : 2
-        (
-            {
-                "one": 'stiffness="0.4" springref="0"',
-                "two": 'stiffness="0.1" springref="0"',
-                "more": TENDON.format('name="t"', 0.02, 0.01)
-                + '<actuator><motor tendon="t" ctrlrange="0 12" forcerange="0 50" forcelimited="true"/><motor joint="k1"/></actuator>',
-            },
-            ("j2", "j1"),
-            (0.5, 0.0),
-            50.0 * (0.01 + 0.02 * 0.5),
-        ),
-        # a range of a tendon so narrow that it couples
-        (
-            {"more": TENDON.format('limited="true" range="-0.0005 0.0005"', 0.01, -0.01) + MOTORS},
-            ("j1", "j2"),
-            (1.0, 0.0),
-            3.0,
-        ),
-        # rod and first link are a parallelogram: the second link keeps its direction
-        (
-            {
-                "rod": LOOP,
-                "more": f'<equality><connect body1="rod" body2="p2" anchor="0 0 0.04"/></equality>{MOTORS}',
-            },
-            ("j1", "j2"),
-            (-1.0, 0.0),
-            3.0,
-        ),
-    ],
-    ids=["tendon", "narrow", "loop"],
+    ("fields", "pair", "line", "limit"), COUPLED, ids=["tendon", "narrow", "loop"]
 )
 def test_joints_that_share_a_motor_are_coupled(tmp_path, fields, pair, line, limit):
     text = FINGERS.format(**{"one": "", "two": "", "rod": "", **fields})
@@ -184,35 +185,38 @@ JAWS = """<mujoco><compiler angle="radian"/><option {option}/><worldbody><body n
 WIDE = 'range="0 0.04"'
 
 
+EQUALITIES = [
+    (
+        'timestep="0.5"',
+        "",
+        'range="0 0.025"',
+        "a",
+        '<joint joint1="b" joint2="a"/>',
+        {"b": (1.0, 0.0)},
+    ),
+    (
+        "",
+        WIDE,
+        WIDE,
+        "b",
+        '<joint joint1="b" joint2="a" polycoef="0.004 0.5"/>',
+        {"a": (2.0, -0.008)},
+    ),
+    (
+        "",
+        WIDE,
+        WIDE,
+        "m",
+        '<joint joint1="a" joint2="m" polycoef="0 0.0055 0 0 0"/>'
+        '<joint joint1="b" joint2="m" polycoef="0 0.0004 0 0 0"/>',
+        {"a": (0.0055, 0.0), "b": (0.0004, 0.0)},
+    ),
+]
+
+
 @pytest.mark.parametrize(
     ("option", "a", "b", "motor", "equality", "lines"),
-    [
-        (
-            'timestep="0.5"',
-            "",
-            'range="0 0.025"',
-            "a",
-            '<joint joint1="b" joint2="a"/>',
-            {"b": (1.0, 0.0)},
-        ),
-        (
-            "",
-            WIDE,
-            WIDE,
-            "b",
-            '<joint joint1="b" joint2="a" polycoef="0.004 0.5"/>',
-            {"a": (2.0, -0.008)},
-        ),
-        (
-            "",
-            WIDE,
-            WIDE,
-            "m",
-            '<joint joint1="a" joint2="m" polycoef="0 0.0055 0 0 0"/>'
-            '<joint joint1="b" joint2="m" polycoef="0 0.0004 0 0 0"/>',
-            {"a": (0.0055, 0.0), "b": (0.0004, 0.0)},
-        ),
-    ],
+    EQUALITIES,
     ids=["free driver", "inverse", "rack"],
 )
 def test_equalities_of_jaws_are_read_exactly(tmp_path, option, a, b, motor, equality, lines):
@@ -271,39 +275,37 @@ def test_meshes_lie_where_their_files_have_them(tmp_path):
 CARRIED = '<body name="r2"><joint name="r" axis="0 1 0"/><geom size="0.005" pos="0 0 0.05"/></body>'
 
 
+NO_HAND = [
+    (
+        "<scene/>",
+        "the first element is <scene>; a URDF starts with <robot name=...>, a MuJoCo model with <mujoco>",
+    ),
+    (
+        "<mujoco><worldbody><body><geom size='0.1'/></body></worldbody></mujoco>",
+        "the file has no joint; a part that other files include",
+    ),
+    (
+        FINGERS.format(
+            one="", two="", rod="<site name='s'/>", more="<actuator><motor site='s'/></actuator>"
+        ),
+        "no actuator moves a hinge or slide joint; add <position joint=.../>",
+    ),
+    (
+        PLAIN.replace(
+            "<worldbody>",
+            "<asset><mesh name='m' file='gone.stl'/></asset><worldbody><geom type='mesh' mesh='m'/>",
+        ),
+        "gone.stl",
+    ),
+    (
+        FINGERS.format(one="", two="", rod=ROD.format(CARRIED), more=""),
+        "the ball joint 'ball' has no motor and carries joints that motors move: such parallel mechanisms are not supported",
+    ),
+]
+
+
 @pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        (
-            "<scene/>",
-            "the first element is <scene>; a URDF starts with <robot name=...>, a MuJoCo model with <mujoco>",
-        ),
-        (
-            "<mujoco><worldbody><body><geom size='0.1'/></body></worldbody></mujoco>",
-            "the file has no joint; a part that other files include",
-        ),
-        (
-            FINGERS.format(
-                one="",
-                two="",
-                rod="<site name='s'/>",
-                more="<actuator><motor site='s'/></actuator>",
-            ),
-            "no actuator moves a hinge or slide joint; add <position joint=.../>",
-        ),
-        (
-            PLAIN.replace(
-                "<worldbody>",
-                "<asset><mesh name='m' file='gone.stl'/></asset><worldbody><geom type='mesh' mesh='m'/>",
-            ),
-            "gone.stl",
-        ),
-        (
-            FINGERS.format(one="", two="", rod=ROD.format(CARRIED), more=""),
-            "the ball joint 'ball' has no motor and carries joints that motors move: such parallel mechanisms are not supported",
-        ),
-    ],
-    ids=["no robot", "no joint", "no motor", "no mesh", "ball"],
+    ("text", "message"), NO_HAND, ids=["no robot", "no joint", "no motor", "no mesh", "ball"]
 )
 def test_files_that_are_no_hand_are_refused(tmp_path, text, message):
     with pytest.raises(InvalidInputError, match=message):

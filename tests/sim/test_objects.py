@@ -140,19 +140,19 @@ def test_inertia_by_slices(shape):
     assert replace(item, inertia=(1e-4, 2e-4, 1e-4)).inertia_matrix[1, 1] == 2e-4
 
 
-@pytest.mark.parametrize(
-    ("fields", "message"),
-    [
-        ({"shape": "torus"}, "'cuboid', 'cylinder', 'sphere', 'capsule', 'mesh'"),
-        ({"shape": "mesh"}, "needs the path"),
-        ({"mesh": "a.obj"}, "mesh=None"),
-        ({"size": (100.0, 100.0, 100.0)}, "in metres"),
-        ({"shape": "sphere", "size": (1e-4,)}, "0.001 to 1"),
-        ({"shape": "capsule", "size": (0.1, 0.05)}, "at least its diameter"),
-        ({"mass": 0.0}, "> 0"),
-        ({"inertia": (1e-4, 1e-4, 3e-4)}, "sum of the other two"),
-    ],
-)
+WRONG_NUMBERS = [
+    ({"shape": "torus"}, "'cuboid', 'cylinder', 'sphere', 'capsule', 'mesh'"),
+    ({"shape": "mesh"}, "needs the path"),
+    ({"mesh": "a.obj"}, "mesh=None"),
+    ({"size": (100.0, 100.0, 100.0)}, "in metres"),
+    ({"shape": "sphere", "size": (1e-4,)}, "0.001 to 1"),
+    ({"shape": "capsule", "size": (0.1, 0.05)}, "at least its diameter"),
+    ({"mass": 0.0}, "> 0"),
+    ({"inertia": (1e-4, 1e-4, 3e-4)}, "sum of the other two"),
+]
+
+
+@pytest.mark.parametrize(("fields", "message"), WRONG_NUMBERS)
 def test_invalid_numbers(fields, message):
     with pytest.raises((InvalidInputError, UnknownNameError), match=message):
         ObjectDescription(**fields)
@@ -167,22 +167,22 @@ FLAT = BALL.copy().apply_transform(np.diag([1.0, 1.0, 0.0, 1.0]))
 UNREAD = "is not a mesh of kind|no triangles"
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "message"),
-    [
-        (
-            "a.obj",
-            trimesh.Trimesh(BALL.vertices, BALL.faces[::3], process=False),
-            "not closed: .*grasp object mend",
-        ),
-        ("a.obj", FLAT, "encloses no volume"),
-        ("a.obj", BALL.copy().apply_scale(1000.0), "millimetres"),
-        ("a.obj", trimesh.creation.box((0.06, 0.05, 5e-4)), "allowed are 0.001 to 1"),
-        ("a.pkl", b"", "file of type"),
-        ("a.obj", b"v 0 0 0\nv 1 0 0\nf 1 2 9\n", f"do not exist|{UNREAD}"),
-        ("none.obj", None, "No such file"),
-    ],
-)
+WRONG_MESHES = [
+    (
+        "a.obj",
+        trimesh.Trimesh(BALL.vertices, BALL.faces[::3], process=False),
+        "not closed: .*grasp object mend",
+    ),
+    ("a.obj", FLAT, "encloses no volume"),
+    ("a.obj", BALL.copy().apply_scale(1000.0), "millimetres"),
+    ("a.obj", trimesh.creation.box((0.06, 0.05, 5e-4)), "allowed are 0.001 to 1"),
+    ("a.pkl", b"", "file of type"),
+    ("a.obj", b"v 0 0 0\nv 1 0 0\nf 1 2 9\n", f"do not exist|{UNREAD}"),
+    ("none.obj", None, "No such file"),
+]
+
+
+@pytest.mark.parametrize(("name", "content", "message"), WRONG_MESHES)
 def test_invalid_meshes(tmp_path, name, content, message):
     path = tmp_path / name
     if isinstance(content, bytes):

@@ -82,27 +82,27 @@ def test_one_hand_of_a_robot_is_read(tmp_path):
         read(tmp_path, ROBOT, ["rt2", "lt2"], palm="rpalm")
 
 
-@pytest.mark.parametrize(
-    ("text", "palm", "words"),
-    [
-        (
-            ARM,
-            None,
-            "'arm_7' has 7 motors and leads to a branching. Name the hand's palm, palm='palm'; palm='base' reads all of it as one hand",
-        ),
-        (
-            ROBOT,
-            None,
-            "has 5 motors and leads to a branching. Name the hand's palm, palm='lpalm' or palm='rpalm'; palm='pelvis' reads all",
-        ),
-        (
-            ARM,
-            "hand",
-            "palm: no link is called 'hand'; joints branch at 'palm'; links are 'base', 'arm1'",
-        ),
-        (ARM, "i2", "the palm 'i2' carries no joint that moves; links that do are 'base', 'arm1'"),
-    ],
-)
+REFUSED = [
+    (
+        ARM,
+        None,
+        "'arm_7' has 7 motors and leads to a branching. Name the hand's palm, palm='palm'; palm='base' reads all of it as one hand",
+    ),
+    (
+        ROBOT,
+        None,
+        "has 5 motors and leads to a branching. Name the hand's palm, palm='lpalm' or palm='rpalm'; palm='pelvis' reads all",
+    ),
+    (
+        ARM,
+        "hand",
+        "palm: no link is called 'hand'; joints branch at 'palm'; links are 'base', 'arm1'",
+    ),
+    (ARM, "i2", "the palm 'i2' carries no joint that moves; links that do are 'base', 'arm1'"),
+]
+
+
+@pytest.mark.parametrize(("text", "palm", "words"), REFUSED)
 def test_arms_and_robots_are_refused_with_palms(tmp_path, text, palm, words):
     with pytest.raises(InvalidInputError) as told:
         read(tmp_path, text, palm=palm)
@@ -124,55 +124,58 @@ NAIL = (
 )
 
 
+STILL = [
+    (
+        link("base")
+        + chain("w", "base", 3, SOLID, 0.03)
+        + joint("mount", "w3", "palm", kind="fixed")
+        + hand(),
+        {},
+        9,
+        "",
+        (0.0,),
+    ),
+    (
+        link("base") + "".join(chain(name, "base", 6, SOLID, 0.02) for name in "abc"),
+        {},
+        18,
+        "",
+        (0.0,),
+    ),
+    (
+        hand() + finger("x", "i2", "0.04 0 0"),
+        {"palm": "i1"},
+        3,
+        "hold still, their links are left out: 'ia';",
+        (0.0,),
+    ),
+    # at the angle that they have where the others are at 0; joints that no hand has are not
+    # looked at
+    (
+        link("cart")
+        + joint("free", "cart", "base", kind="floating")
+        + ARM.replace(' rpy="0.3 -0.2 0.5"', "")
+        + FOLLOWER
+        + SECOND,
+        {"palm": "palm"},
+        6,
+        "joints that mimic others that are left out hold still: 'f', 'g'",
+        (0.0, 0.0, 0.3, 0.9),
+    ),
+    (hand() + NAIL, {"palm": "i2", "joint_limits": {"n": (0.0, 0.4)}}, 2, "hold still", (0.0,)),
+    (
+        hand() + NAIL,
+        {},
+        6,
+        "joints with equal limits, lower = upper, hold still: 'n', 'o'; give the true ranges as joint_limits=",
+        (0.0,),
+    ),
+]
+
+
 @pytest.mark.parametrize(
     ("text", "options", "count", "words", "tilts"),
-    [
-        (
-            link("base")
-            + chain("w", "base", 3, SOLID, 0.03)
-            + joint("mount", "w3", "palm", kind="fixed")
-            + hand(),
-            {},
-            9,
-            "",
-            (0.0,),
-        ),
-        (
-            link("base") + "".join(chain(name, "base", 6, SOLID, 0.02) for name in "abc"),
-            {},
-            18,
-            "",
-            (0.0,),
-        ),
-        (
-            hand() + finger("x", "i2", "0.04 0 0"),
-            {"palm": "i1"},
-            3,
-            "hold still, their links are left out: 'ia';",
-            (0.0,),
-        ),
-        # at the angle that they have where the others are at 0; joints that no hand has are not
-        # looked at
-        (
-            link("cart")
-            + joint("free", "cart", "base", kind="floating")
-            + ARM.replace(' rpy="0.3 -0.2 0.5"', "")
-            + FOLLOWER
-            + SECOND,
-            {"palm": "palm"},
-            6,
-            "joints that mimic others that are left out hold still: 'f', 'g'",
-            (0.0, 0.0, 0.3, 0.9),
-        ),
-        (hand() + NAIL, {"palm": "i2", "joint_limits": {"n": (0.0, 0.4)}}, 2, "hold still", (0.0,)),
-        (
-            hand() + NAIL,
-            {},
-            6,
-            "joints with equal limits, lower = upper, hold still: 'n', 'o'; give the true ranges as joint_limits=",
-            (0.0,),
-        ),
-    ],
+    STILL,
     ids=["wrist", "long fingers", "a finger", "followers", "given range", "equal limits"],
 )
 def test_joints_that_hold_still(tmp_path, text, options, count, words, tilts):

@@ -140,30 +140,27 @@ def test_forces_and_momentum_balance(make_scene, make_holder, engine):
 CONFIG = SceneConfig()
 
 
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda scene: scene.step(np.zeros(11)), "torques"),
-        (lambda scene: scene.step(np.zeros(12), np.zeros(5)), "external_wrench"),
-        (lambda scene: scene.change_object(mass=-1.0), "mass"),
-        (lambda _: dataclasses.replace(CONFIG, engine="bullet"), "engine"),
-        (
-            lambda _: dataclasses.replace(CONFIG, contact_points=((0.0, 0.0, 0.05),)),
-            "contact_points",
+INVALID = [
+    (lambda scene: scene.step(np.zeros(11)), "torques"),
+    (lambda scene: scene.step(np.zeros(12), np.zeros(5)), "external_wrench"),
+    (lambda scene: scene.change_object(mass=-1.0), "mass"),
+    (lambda _: dataclasses.replace(CONFIG, engine="bullet"), "engine"),
+    (lambda _: dataclasses.replace(CONFIG, contact_points=((0.0, 0.0, 0.05),)), "contact_points"),
+    (lambda _: dataclasses.replace(CONFIG, contact_points=((0.0, 0.0, 0.02),) * 4), "surface"),
+    (lambda _: dataclasses.replace(CONFIG, start_angles=(0.0,)), "start_angles"),
+    (
+        lambda _: Scene(
+            dataclasses.replace(
+                CONFIG,
+                engine=type("Other", (MujocoEngine,), {"simulator": BulletEngine.simulator})(),
+            )
         ),
-        (lambda _: dataclasses.replace(CONFIG, contact_points=((0.0, 0.0, 0.02),) * 4), "surface"),
-        (lambda _: dataclasses.replace(CONFIG, start_angles=(0.0,)), "start_angles"),
-        (
-            lambda _: Scene(
-                dataclasses.replace(
-                    CONFIG,
-                    engine=type("Other", (MujocoEngine,), {"simulator": BulletEngine.simulator})(),
-                )
-            ),
-            "engine must be a BulletEngine|needs pybullet",
-        ),
-    ],
-)
+        "engine must be a BulletEngine|needs pybullet",
+    ),
+]
+
+
+@pytest.mark.parametrize(("call", "message"), INVALID)
 def test_invalid_arguments(make_scene, call, message):
     scene = make_scene()
     before = numbers(scene)

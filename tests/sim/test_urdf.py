@@ -213,53 +213,49 @@ DRIVE = '<mimic joint="drive"'
 RATIO = 'multiplier="1.5"'
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        (END, "", "is not XML: no element found"),
-        (END, f'<link name="palm"/>{END}', "two links are called 'palm'"),
-        (
-            END,
-            f"{EXTRA.replace('finger_2', 'finger')}{END}",
-            "'finger' is the child of two joints, 'bend' and",
-        ),
-        (
-            END,
-            f"{EXTRA}{END}",
-            "joint 'bend_2' names the link 'finger_2', which is not in the file",
-        ),
-        (
-            END,
-            f"{EXTRA.replace('palm', 'finger_2')}{link('finger_2')}{END}",
-            "joints 'bend_2' form a cycle apart",
-        ),
-        (SPHERE, SPHERE * 2001, "2001 shapes, allowed are up to 2000"),
-        (END, '<link name="l"/>' * 499 + END, "501 links and 1 joints, allowed are up to 500"),
-        ("revolute", "floating", "is of type 'floating'"),
-        ("revolute", "fixed", "no joint moves"),
-        ('xyz="0 2 0"', 'xyz="0 0 0"', "joint 'bend': the axis .* has no direction"),
-        ('xyz="0 2 0"', 'xyz="0 0"', r"must have shape \(3,\), got \(2,\)"),
-        ('lower="-1"', 'lower="2"', "joint 'bend', <limit> .*lower=2.0 must be below upper=1.0"),
-        ('<child link="finger"/>', "", "joint 'bend' names no child"),
-        ('mass value="0.1"', 'mass value="-1"', "mass=-1.0 kg must be above 0"),
-        (SPHERE, "", "fingertip 'finger' has no shape to lie in; pass tip_radius="),
-        ("<sphere", "<cone", "the shape <cone> is not one of"),
-        ('radius="0.01"', 'radius="0"', "size=.* must be above 0"),
-        ('link name="finger"', "link", "<link> has no name"),
-        (DRIVE, '<mimic joint="tip"', "the joints 'mid', 'tip' mimic each other in a loop"),
-        (
-            DRIVE,
-            '<mimic joint="none"',
-            "'mid' mimics 'none', which is not a joint of the file; joints are",
-        ),
-        (RATIO, 'multiplier="0"', "ratio=0.0 does not move the joint"),
-        (
-            'name="drive" type="revolute"',
-            'name="drive" type="fixed"',
-            "mimics 'drive', which does not move",
-        ),
-    ],
-)
+NO_HAND = [
+    (END, "", "is not XML: no element found"),
+    (END, f'<link name="palm"/>{END}', "two links are called 'palm'"),
+    (
+        END,
+        f"{EXTRA.replace('finger_2', 'finger')}{END}",
+        "'finger' is the child of two joints, 'bend' and",
+    ),
+    (END, f"{EXTRA}{END}", "joint 'bend_2' names the link 'finger_2', which is not in the file"),
+    (
+        END,
+        f"{EXTRA.replace('palm', 'finger_2')}{link('finger_2')}{END}",
+        "joints 'bend_2' form a cycle apart",
+    ),
+    (SPHERE, SPHERE * 2001, "2001 shapes, allowed are up to 2000"),
+    (END, '<link name="l"/>' * 499 + END, "501 links and 1 joints, allowed are up to 500"),
+    ("revolute", "floating", "is of type 'floating'"),
+    ("revolute", "fixed", "no joint moves"),
+    ('xyz="0 2 0"', 'xyz="0 0 0"', "joint 'bend': the axis .* has no direction"),
+    ('xyz="0 2 0"', 'xyz="0 0"', r"must have shape \(3,\), got \(2,\)"),
+    ('lower="-1"', 'lower="2"', "joint 'bend', <limit> .*lower=2.0 must be below upper=1.0"),
+    ('<child link="finger"/>', "", "joint 'bend' names no child"),
+    ('mass value="0.1"', 'mass value="-1"', "mass=-1.0 kg must be above 0"),
+    (SPHERE, "", "fingertip 'finger' has no shape to lie in; pass tip_radius="),
+    ("<sphere", "<cone", "the shape <cone> is not one of"),
+    ('radius="0.01"', 'radius="0"', "size=.* must be above 0"),
+    ('link name="finger"', "link", "<link> has no name"),
+    (DRIVE, '<mimic joint="tip"', "the joints 'mid', 'tip' mimic each other in a loop"),
+    (
+        DRIVE,
+        '<mimic joint="none"',
+        "'mid' mimics 'none', which is not a joint of the file; joints are",
+    ),
+    (RATIO, 'multiplier="0"', "ratio=0.0 does not move the joint"),
+    (
+        'name="drive" type="revolute"',
+        'name="drive" type="fixed"',
+        "mimics 'drive', which does not move",
+    ),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "message"), NO_HAND)
 def test_files_that_are_no_hand_are_refused(tmp_path, old, new, message):
     text, tip = (SMALL, "finger") if old in SMALL else (CHAINED, "end")
     assert old in text
@@ -267,43 +263,37 @@ def test_files_that_are_no_hand_are_refused(tmp_path, old, new, message):
         read(tmp_path, text.replace(old, new), [tip])
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        *(
-            ({"torque_limit": given}, "torque_limit")
-            for given in (0.0, [1.0, 2.0], {"ja": 1.0}, {"ia": 0.0}, "3")
-        ),
-        ({"joint_limits": {"ia": 1.0}}, r"joint_limits of 'ia'=1.0 must be \(lower, upper\)"),
-        (
-            {"joint_limits": [(0.0, 1.0)]},
-            "joint_limits=.* must be a dict with names of joints as keys",
-        ),
-        (
-            {"inertials": {"palm": 0.1}},
-            "inertials: no moving link is called 'palm'; moving links are 'i1'",
-        ),
-        (
-            {"inertials": {"i1": (0.1, (0, 0, 0))}},
-            r"must be a mass \[kg\], or \(mass, center, inertia\)",
-        ),
-        (
-            {"inertials": {"i1": (0.1, (0, 0, 0), (1, 0, 0, 1, 0, 9))}},
-            "inertials of 'i1': inertia=.* the principal moments",
-        ),
-        ({"fingertips": ("palm",)}, "'palm' does not move, it is part of the palm"),
-        ({"fingertips": ("i1", "i1")}, "two fingertips are called 'i1'"),
-        *(
-            ({"fingertips": tips}, "fingertips=.* must be a list of one link name or more")
-            for tips in ((), 0, "i1", {"i1": 1.0})
-        ),
-        (
-            {"fingertips": {"i1": ((0.0, 0.0, 0.0), -1.0)}},
-            "fingertips: radius .* must be a number > 0",
-        ),
-        ({"palm": ""}, "palm='' must be a name"),
-    ],
-)
+WRONG = [
+    *(
+        ({"torque_limit": given}, "torque_limit")
+        for given in (0.0, [1.0, 2.0], {"ja": 1.0}, {"ia": 0.0}, "3")
+    ),
+    ({"joint_limits": {"ia": 1.0}}, r"joint_limits of 'ia'=1.0 must be \(lower, upper\)"),
+    ({"joint_limits": [(0.0, 1.0)]}, "joint_limits=.* must be a dict with names of joints as keys"),
+    (
+        {"inertials": {"palm": 0.1}},
+        "inertials: no moving link is called 'palm'; moving links are 'i1'",
+    ),
+    (
+        {"inertials": {"i1": (0.1, (0, 0, 0))}},
+        r"must be a mass \[kg\], or \(mass, center, inertia\)",
+    ),
+    (
+        {"inertials": {"i1": (0.1, (0, 0, 0), (1, 0, 0, 1, 0, 9))}},
+        "inertials of 'i1': inertia=.* the principal moments",
+    ),
+    ({"fingertips": ("palm",)}, "'palm' does not move, it is part of the palm"),
+    ({"fingertips": ("i1", "i1")}, "two fingertips are called 'i1'"),
+    *(
+        ({"fingertips": tips}, "fingertips=.* must be a list of one link name or more")
+        for tips in ((), 0, "i1", {"i1": 1.0})
+    ),
+    ({"fingertips": {"i1": ((0.0, 0.0, 0.0), -1.0)}}, "fingertips: radius .* must be a number > 0"),
+    ({"palm": ""}, "palm='' must be a name"),
+]
+
+
+@pytest.mark.parametrize(("options", "message"), WRONG)
 def test_wrong_arguments_are_refused(tmp_path, options, message):
     with pytest.raises(InvalidInputError, match=message):
         read(tmp_path, hand(), **options)

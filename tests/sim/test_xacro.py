@@ -101,53 +101,48 @@ def test_arguments_are_given(tmp_path, given, name):
     assert read(tmp_path, ARGUMENTS, name="hand.xacro", xacro_args=given)[0].name == name
 
 
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        ({}, r"its argument 'side' has no default: pass xacro_args=\{\"side\": \.\.\.\}$"),
-        (
-            {"sise": 1},
-            r"its argument 'side' has no default: pass xacro_args=\{\"side\": \.\.\.\}; given are sise$",
-        ),
-        (
-            {"side": "a", "sise": 1},
-            "it has no argument 'sise': did you mean 'si[dz]e'.* its arguments are side, size$",
-        ),
-        ({"side": None}, "xacro_args of 'side'=None must be text, a number, True or False"),
-        ({"side": [1]}, "xacro_args of 'side'=.* must be text, a number, True or False"),
-        ({1: "a"}, "xacro_args=.* must be a dict from names of arguments to their values"),
-        ("side", "xacro_args='side' must be a dict"),
-    ],
-)
+WRONG = [
+    ({}, r"its argument 'side' has no default: pass xacro_args=\{\"side\": \.\.\.\}$"),
+    (
+        {"sise": 1},
+        r"its argument 'side' has no default: pass xacro_args=\{\"side\": \.\.\.\}; given are sise$",
+    ),
+    (
+        {"side": "a", "sise": 1},
+        "it has no argument 'sise': did you mean 'si[dz]e'.* its arguments are side, size$",
+    ),
+    ({"side": None}, "xacro_args of 'side'=None must be text, a number, True or False"),
+    ({"side": [1]}, "xacro_args of 'side'=.* must be text, a number, True or False"),
+    ({1: "a"}, "xacro_args=.* must be a dict from names of arguments to their values"),
+    ("side", "xacro_args='side' must be a dict"),
+]
+
+
+@pytest.mark.parametrize(("given", "message"), WRONG)
 def test_wrong_arguments_are_named(tmp_path, given, message):
     with pytest.raises(InvalidInputError, match=message):
         read(tmp_path, ARGUMENTS, name="hand.xacro", xacro_args=given)
 
 
-@pytest.mark.parametrize(
-    ("name", "text", "options", "message"),
-    [
-        (
-            "hand.urdf",
-            SMALL_HAND,
-            {"xacro_args": {"side": "left"}},
-            r"xacro_args are given, but .* rename it to \.xacro, or pass xacro=True",
-        ),
-        ("hand.urdf", SMALL_HAND, {"xacro": 1}, "xacro must be True or False, got 1"),
-        (
-            "hand.xml",
-            "<mujoco/>",
-            {"xacro": True},
-            "the first element is <mujoco>, xacro expands <robot>",
-        ),
-        (
-            "hand.xacro",
-            xacro_hand(),
-            {"xacro": False},
-            "it has xacro elements, but is not expanded",
-        ),
-    ],
-)
+UNFIT = [
+    (
+        "hand.urdf",
+        SMALL_HAND,
+        {"xacro_args": {"side": "left"}},
+        r"xacro_args are given, but .* rename it to \.xacro, or pass xacro=True",
+    ),
+    ("hand.urdf", SMALL_HAND, {"xacro": 1}, "xacro must be True or False, got 1"),
+    (
+        "hand.xml",
+        "<mujoco/>",
+        {"xacro": True},
+        "the first element is <mujoco>, xacro expands <robot>",
+    ),
+    ("hand.xacro", xacro_hand(), {"xacro": False}, "it has xacro elements, but is not expanded"),
+]
+
+
+@pytest.mark.parametrize(("name", "text", "options", "message"), UNFIT)
 def test_options_that_do_not_fit_a_file(tmp_path, name, text, options, message):
     with pytest.raises(InvalidInputError, match=message):
         read(tmp_path, text, name=name, **options)
