@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from engines import bullet, needs_bullet
 from hands import controller_alone, grasp_torques, scene_alone
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from grasp_env import core
@@ -66,11 +67,11 @@ def test_pose_error_against_scipy():
         turn = size * rng.uniform(-0.6, 0.6, 3)
         turned = (Rotation.from_rotvec(turn) * wanted).as_rotvec()
         error = pose_error(state((0.1, 0.2, 0.3), turned, (1, 2, 3), (4, 5, 6)), target)
-        np.testing.assert_allclose(error[3:6], turn, atol=1e-12)
-        np.testing.assert_allclose(error[:3], np.array([0.1, 0.2, 0.3]) - target[:3])
-        np.testing.assert_allclose(error[6:], np.arange(1.0, 7.0) - target[7:13])
+        assert_allclose(error[3:6], turn, atol=1e-12)
+        assert_allclose(error[:3], np.array([0.1, 0.2, 0.3]) - target[:3])
+        assert_allclose(error[6:], np.arange(1.0, 7.0) - target[7:13])
     error = pose_error(state(turn=(1e-12, 0.0, 0.0)), REST)
-    np.testing.assert_allclose(error[3:6], [1e-12, 0.0, 0.0], rtol=1e-6)
+    assert_allclose(error[3:6], [1e-12, 0.0, 0.0], rtol=1e-6)
 
 
 def test_inertial_wrench_of_a_moving_target():
@@ -110,7 +111,7 @@ def test_inertial_wrench_of_a_moving_target():
         turned = rotation(t).as_matrix()
         force = turned.T @ (0.3 * (GRAVITY - target[13:16]))
         moment = -turned.T @ slope(momentum, t)
-        np.testing.assert_allclose(balanced(s, target), [*force, *moment], rtol=1e-4, atol=1e-6)
+        assert_allclose(balanced(s, target), [*force, *moment], rtol=1e-4, atol=1e-6)
 
 
 class Trial:
@@ -149,7 +150,7 @@ class Trial:
             )
             if len(self.ticks) <= 5:
                 expected = grasp_torques(scene, np.einsum("nij,nj->ni", frames, loop.force))
-                np.testing.assert_allclose(torques, expected, atol=1e-9)
+                assert_allclose(torques, expected, atol=1e-9)
             if len(self.ticks) in ticks:
                 for finger in pulled:
                     link = scene.simulator.world.joints[int(scene.kinematics.tip_links[finger])]
@@ -184,7 +185,7 @@ def test_a_finger_slips_off_and_comes_back(finger):
     for tick in alone:
         assert tick["closure"]
         # no command for a finger that touches nothing
-        np.testing.assert_array_equal(tick["force"][finger], 0.0)
+        assert_array_equal(tick["force"][finger], 0.0)
         inside = trial.friction * tick["force"][:, 0] - np.hypot(
             tick["force"][:, 1], tick["force"][:, 2]
         )

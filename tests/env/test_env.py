@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from episodes import episode
+from numpy.testing import assert_allclose, assert_array_equal
 
 from grasp_env.env import observation
 from grasp_env.env.env import FourFingerGrasp
@@ -33,7 +34,7 @@ def test_observations_match_the_docstring():
         table.append(
             f"| {where} | `{block.key}` | {block.name} | {block.unit} | {block.frame} | {block.bound:g} |"
         )
-        np.testing.assert_array_equal(high[index:after], np.float32(block.bound))
+        assert_array_equal(high[index:after], np.float32(block.bound))
         index = after
     start = rows.index(table[0])
     assert rows[start : start + len(table)] == table  # all of it, in order
@@ -52,7 +53,7 @@ def test_observations_are_the_state_of_the_scene():
     for step in range(8):
         s = env.scene.look()
         assert env.observation_space.contains(parts)
-        np.testing.assert_array_equal(
+        assert_array_equal(
             np.concatenate([parts[field.key] for field in observation.fields()]), vector
         )
         for name, known in {
@@ -69,16 +70,16 @@ def test_observations_are_the_state_of_the_scene():
             "joint_angles": s.angles,
             "friction": 0.85 * 0.4,
         }.items():
-            np.testing.assert_allclose(parts[name], np.ravel(known), rtol=1e-6, err_msg=name)
+            assert_allclose(parts[name], np.ravel(known), rtol=1e-6, err_msg=name)
         # the normal component of the measured force, and its size, do not depend on the tangents
         normal = np.einsum("nk,nk->n", s.normals, s.forces)
         size = np.linalg.norm(s.forces, axis=1)
-        np.testing.assert_allclose(info["measured_force"][:, 0], normal, rtol=1e-9)
-        np.testing.assert_allclose(np.linalg.norm(info["measured_force"], axis=1), size, rtol=1e-9)
+        assert_allclose(info["measured_force"][:, 0], normal, rtol=1e-9)
+        assert_allclose(np.linalg.norm(info["measured_force"], axis=1), size, rtol=1e-9)
         assert info["time"] == pytest.approx(step / 50)
         if step == 0:  # the grasp that holds, within 1 % of the weight
             total = s.rotation @ s.forces.sum(axis=0)
-            np.testing.assert_allclose(total, [0.0, 0.2 * 9.81, 0.0], atol=0.01 * 0.2 * 9.81)
+            assert_allclose(total, [0.0, 0.2 * 9.81, 0.0], atol=0.01 * 0.2 * 9.81)
             assert (info["contacts"], info["contact_changes"]) == (4, 0)
             assert (info["status"], info["failure"], info["force_closure"]) == ("none", "", True)
         (parts, _, _, _, info), vector = env.step(ZERO), other.step(ZERO)[0]
@@ -138,7 +139,7 @@ def test_actions_may_be_ignored():
     ignored, zero = (
         episode(3, action_mode="none", action=np.full(1, a, np.float32))[0] for a in (1.0, 0.0)
     )
-    np.testing.assert_array_equal(ignored, zero)
+    assert_array_equal(ignored, zero)
 
 
 def test_contact_forces_as_actions_hold_the_object():
@@ -152,13 +153,13 @@ def test_contact_forces_as_actions_hold_the_object():
         1
     ]
     for info in infos:
-        np.testing.assert_allclose(info["commanded_force"], force, atol=1e-5)
+        assert_allclose(info["commanded_force"], force, atol=1e-5)
         assert (info["iterations"], info["status"], info["terminated"]) == (0, "none", False)
-    np.testing.assert_allclose(infos[-1]["measured_force"], force, atol=0.05)
+    assert_allclose(infos[-1]["measured_force"], force, atol=0.05)
     far, edge = (
         episode(2, action=np.tile(np.float32([a, 0, 0]), 4), **given)[0] for a in (3.0, 1.0)
     )
-    np.testing.assert_array_equal(far, edge)  # clipped to the box
+    assert_array_equal(far, edge)  # clipped to the box
 
 
 def test_broken_rules_end_the_episode():
@@ -192,7 +193,7 @@ def test_the_wrench_of_a_reset_lasts_one_episode():
     env.reset(seed=0, options={"wrench": wrench})
     for _ in range(40):
         info = env.step(ZERO)[4]
-    np.testing.assert_allclose(
+    assert_allclose(
         info["wrench"], wrench + np.array([0.0, -0.2 * 9.81, 0.0, 0.0, 0.0, 0.0]), atol=1e-3
     )
     env.reset(seed=0)
@@ -215,8 +216,8 @@ def test_pictures_change_nothing():
             seen.append(each.step(ZERO)[0])
         each.close()
         rows.append(np.array(seen))
-    np.testing.assert_array_equal(rows[0], rows[1])
-    np.testing.assert_array_equal(rows[0], rows[2])
+    assert_array_equal(rows[0], rows[1])
+    assert_array_equal(rows[0], rows[2])
 
 
 def test_pictures_are_in_the_world_frame():
@@ -232,13 +233,13 @@ def test_pictures_are_in_the_world_frame():
     # the object is turned by 16 degrees
     assert np.trace(env.scene.look().rotation) < 1.0 + 2.0 * np.cos(0.28)
     note = env._annotation(env.scene)
-    np.testing.assert_allclose(note.forces.sum(axis=0), -note.wrench[:3], atol=1e-9)  # balance, N
+    assert_allclose(note.forces.sum(axis=0), -note.wrench[:3], atol=1e-9)  # balance, N
     moments = np.cross(note.points - note.center, note.forces).sum(axis=0)
-    np.testing.assert_allclose(moments, -note.wrench[3:], atol=1e-4)
-    np.testing.assert_allclose(note.measured, note.forces, atol=0.05)
+    assert_allclose(moments, -note.wrench[3:], atol=1e-4)
+    assert_allclose(note.measured, note.forces, atol=0.05)
     along = (note.forces * note.normals).sum(axis=1) / np.linalg.norm(note.forces, axis=1)
     assert (along > np.cos(np.arctan(note.friction))).all()
-    np.testing.assert_allclose(note.wrench[1], -9.81 * env.scene.config.object.mass, rtol=0.01)
+    assert_allclose(note.wrench[1], -9.81 * env.scene.config.object.mass, rtol=0.01)
     while not env.step(ZERO)[2]:
         pass
     note = env._annotation(env.scene)

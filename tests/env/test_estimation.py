@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from hands import controller_alone, scene_alone
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from grasp_env import core
@@ -102,10 +103,10 @@ def test_constant_wrenches_are_found_at_once():
     assert not raw[0].any()
     # the body turns by less than 0.1 rad/s, 4e-4 rad per tick: forces of 8 N are misplaced by some
     # mN
-    np.testing.assert_allclose(raw[1:, :3], wrench[:, :3], atol=0.02)
-    np.testing.assert_allclose(raw[1:, 3:], wrench[:, 3:], atol=2e-4)
+    assert_allclose(raw[1:, :3], wrench[:, :3], atol=0.02)
+    assert_allclose(raw[1:, 3:], wrench[:, 3:], atol=2e-4)
     slow = estimates(trial, time=0.05)
-    np.testing.assert_allclose(slow[:, 0], 1.0 - np.exp(-np.arange(101) * TICK / 0.05), atol=0.02)
+    assert_allclose(slow[:, 0], 1.0 - np.exp(-np.arange(101) * TICK / 0.05), atol=0.02)
 
 
 def test_spin_is_no_wrench_and_payload_a_weight():
@@ -114,7 +115,7 @@ def test_spin_is_no_wrench_and_payload_a_weight():
     gyroscopic = np.cross([6.0, 5.0, 0.0], INERTIA @ [6.0, 5.0, 0.0])
     assert np.abs(quiet[1:, 3:]).max() < 0.1 * np.abs(gyroscopic).max()
     heavy = estimates(hold(np.zeros((250, 6)), 0, mass=1.5 * MASS))
-    np.testing.assert_allclose(heavy[150:, :3].mean(axis=0), 0.5 * MASS * GRAVITY, atol=0.03)
+    assert_allclose(heavy[150:, :3].mean(axis=0), 0.5 * MASS * GRAVITY, atol=0.03)
 
 
 def test_filters_trade_noise_for_lag():
@@ -153,14 +154,14 @@ def test_noise_statistics():
         seen = look(made, np.zeros(6), noise())
         samples[k], places[k] = seen.forces, seen.position
     # 10 % of 5 N on every axis
-    np.testing.assert_allclose(samples[:, 0].std(axis=0), 0.5, rtol=0.06)
-    np.testing.assert_allclose(samples[:, 0].mean(axis=0), forces[0], atol=0.04)
+    assert_allclose(samples[:, 0].std(axis=0), 0.5, rtol=0.06)
+    assert_allclose(samples[:, 0].mean(axis=0), forces[0], atol=0.04)
     assert not samples[:, 1].any()
-    np.testing.assert_allclose(places.std(axis=0), 1e-3, rtol=0.06)
-    np.testing.assert_array_equal(truth.forces, forces)  # the scene itself is unchanged
+    assert_allclose(places.std(axis=0), 1e-3, rtol=0.06)
+    assert_array_equal(truth.forces, forces)  # the scene itself is unchanged
     rows = NoiseRows(np.random.default_rng(5), 7)
     expected = np.random.default_rng(5).standard_normal((200, 7))
-    np.testing.assert_array_equal([rows().copy() for _ in range(200)], expected)
+    assert_array_equal([rows().copy() for _ in range(200)], expected)
 
 
 @pytest.mark.parametrize(("late", "later"), [(0, 2), (1, 0), (5, 2)])
@@ -179,7 +180,7 @@ def test_delays(late, later):
             seen = look(made, np.full(6, 1.0 + k), np.zeros(15))
             assert (seen.forces == (-1.0 if k < late else k - late)).all()
             known = 0.0 if k < late + later else 1.0 + k - late - later
-            np.testing.assert_array_equal(made.arrays()["wrench"], known)  # of a body without mass
+            assert_array_equal(made.arrays()["wrench"], known)  # of a body without mass
 
 
 def test_late_measurements_are_extrapolated():
@@ -206,10 +207,10 @@ def test_late_measurements_are_extrapolated():
     now = scene.look()
     # the cube's three moments of inertia are equal: it turns at constant velocity; Bullet's
     # quaternion steps are exact to 1e-6
-    np.testing.assert_allclose(seen.rotation, now.rotation, atol=1e-6)
-    np.testing.assert_allclose(seen.position, now.position, atol=1e-12)
+    assert_allclose(seen.rotation, now.rotation, atol=1e-6)
+    assert_allclose(seen.position, now.position, atol=1e-12)
     # the joint's own speed changes by Coriolis torques only: (0.05 rad/s)^2 * 0.02 s
     for name in ("angles", "points", "touch", "gaps"):
-        np.testing.assert_allclose(getattr(seen, name), getattr(now, name), atol=1e-5)
+        assert_allclose(getattr(seen, name), getattr(now, name), atol=1e-5)
     assert np.abs(now.points - before).max() > 1e-4
     scene.close()

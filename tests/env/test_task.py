@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from grasp_env.config import EnvConfig
@@ -64,7 +65,7 @@ def test_payload_changes_the_mass_smoothly():
     factor = plan(task=Payload(0.5, 1.2)).mass_factor
     t = np.arange(1001) / 250.0
     assert (factor[t <= 1.2] == 1.0).all()
-    np.testing.assert_allclose(factor[t >= 1.3], 0.5)
+    assert_allclose(factor[t >= 1.3], 0.5)
     assert (np.diff(factor) <= 0.0).all()
 
 
@@ -77,7 +78,7 @@ def test_six_pushes_in_order_with_short_ramps():
     )
     for k, force in enumerate(expected):
         inside = (times > 2.0 * k + PUSH_RAMP) & (times < 2.0 * (k + 1) - 1e-9)
-        np.testing.assert_allclose(push[inside], np.tile(force, (inside.sum(), 1)), atol=1e-12)
+        assert_allclose(push[inside], np.tile(force, (inside.sum(), 1)), atol=1e-12)
     assert not push[0].any()
     # the steepest ramp turns 4 N within 50 ms, at most 15 / 8 of the mean rate
     assert (
@@ -85,7 +86,7 @@ def test_six_pushes_in_order_with_short_ramps():
         < 4.0 * 15.0 / 8.0 * tick / PUSH_RAMP * 1.001
     )
     short = SixDirections(push_time=0.1).push(times, tick, 0.2)  # a ramp of 25 ms
-    np.testing.assert_allclose(short[round(0.09 / tick)], [2.0, 0.0, 0.0], atol=1e-12)
+    assert_allclose(short[round(0.09 / tick)], [2.0, 0.0, 0.0], atol=1e-12)
 
 
 def test_tasks_fill_in_their_own_limits_and_sizes():
@@ -96,9 +97,7 @@ def test_tasks_fill_in_their_own_limits_and_sizes():
     assert pushed.max_tilt == SixDirections.tilt_limit
     assert (usual.duration, usual.max_drift, usual.max_tilt) == (2.0, 0.02, 0.35)
     for motion, size in m.MOTION_SIZES.items():
-        np.testing.assert_array_equal(
-            plan(task=Move(motion)).target, plan(task=Move(motion, size)).target
-        )
+        assert_array_equal(plan(task=Move(motion)).target, plan(task=Move(motion, size)).target)
 
 
 def difference(values: np.ndarray) -> np.ndarray:
@@ -112,18 +111,14 @@ def test_motions_have_exact_derivatives(motion, period):
     # central differences miss by STEP^2 / 6 of the next derivative but one, and by STEP / 2 of the
     # next where that jumps
     jerk = 0.3 * 60.0 * (3.0 / period) ** 3
-    np.testing.assert_allclose(
-        difference(target[:, m.POSITION]), target[1:-1, m.LINEAR], atol=STEP**2 * jerk
-    )
+    assert_allclose(difference(target[:, m.POSITION]), target[1:-1, m.LINEAR], atol=STEP**2 * jerk)
     for value, rate in ((m.LINEAR, m.LINEAR_ACCELERATION), (m.ANGULAR, m.ANGULAR_ACCELERATION)):
-        np.testing.assert_allclose(
-            difference(target[:, value]), target[1:-1, rate], atol=STEP * jerk
-        )
+        assert_allclose(difference(target[:, value]), target[1:-1, rate], atol=STEP * jerk)
     rotation = Rotation.from_quat(target[:, m.QUATERNION])
     turned = (rotation[2:] * rotation[:-2].inv()).as_rotvec() / (2.0 * STEP)
-    np.testing.assert_allclose(turned, target[1:-1, m.ANGULAR], atol=1e-4)
+    assert_allclose(turned, target[1:-1, m.ANGULAR], atol=1e-4)
     if period < 4.0:
-        np.testing.assert_allclose(target[[0, -1]], m.resting_target(2), atol=1e-12)
+        assert_allclose(target[[0, -1]], m.resting_target(2), atol=1e-12)
 
 
 def test_motions_reach_their_size_and_rest():
@@ -138,5 +133,5 @@ def test_motions_reach_their_size_and_rest():
     ):
         assert not np.delete(peak[motion], moving, axis=1).any()
     target = m.motion_target("lift", TIMES, 0.1, 1.5)  # two periods end at 3 s
-    np.testing.assert_array_equal(target[TIMES > 3.0], m.resting_target(int((TIMES > 3.0).sum())))
+    assert_array_equal(target[TIMES > 3.0], m.resting_target(int((TIMES > 3.0).sum())))
     assert target[round(2.25 / STEP), 1] == pytest.approx(0.1)

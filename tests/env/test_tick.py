@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from hands import controller_alone, scene_alone
+from numpy.testing import assert_allclose, assert_array_equal
 from oracles.elastic import elastic
 from oracles.phi import phi
 from problems import PAPER_WRENCH
@@ -142,8 +143,8 @@ def test_an_agents_step_is_a_call_of_the_optimizer(method, initial):
         loop.place(positions, normals)
         force = loop.tick(wrench, True)
         alone = loop.optimizer.solve(wrench, positions=positions, normals=normals)
-        np.testing.assert_array_equal(force, alone.force)
-        np.testing.assert_array_equal(loop.arrays["solution"], alone._record)
+        assert_array_equal(force, alone.force)
+        assert_array_equal(loop.arrays["solution"], alone._record)
         assert loop.core.closure
         assert (loop.core.effort.followed, loop.core.effort.limited) == (0, 0)
 
@@ -170,7 +171,7 @@ def test_between_steps_commands_are_optima():
                 normals=normals,
                 contacts=np.array(touching, dtype=bool),
             )
-            np.testing.assert_allclose(force, best.force, atol=1e-6 * np.abs(best.force).max())
+            assert_allclose(force, best.force, atol=1e-6 * np.abs(best.force).max())
     assert loop.core.changes == 4
     assert loop.core.effort.followed > 30
     assert loop.arrays["solution"][CODE] == CONVERGED
@@ -252,7 +253,7 @@ def test_adjustments_are_added_and_repaired():
         part = float((x - begin) @ way / (way @ way))
         # the least change is one of forces where the oracle's is one of cone coordinates: they
         # agree along internal forces
-        np.testing.assert_allclose(x, begin + part * way, atol=2e-2 * np.abs(way).max())
+        assert_allclose(x, begin + part * way, atol=2e-2 * np.abs(way).max())
         assert -1e-9 < part < 1.0 + 1e-9
         assert grasp.residual(made, wrench) < 1e-9
         assert phi(x, WEIGHTS) <= phi(begin, WEIGHTS) * (1.0 + 1e-12)
@@ -294,9 +295,7 @@ def test_forces_are_found_within_the_limits(due, grasp):
         assert np.abs(loop.torques).max() <= MOTOR
         unique = fits or best.status is not Status.LIMITS_EXCEEDED
         if unique:
-            np.testing.assert_allclose(
-                loop.torques, wanted if fits else best.torques, atol=2e-3 * MOTOR
-            )
+            assert_allclose(loop.torques, wanted if fits else best.torques, atol=2e-3 * MOTOR)
         if not soft:
             solved = (free if fits else best).force
             assert not unique or np.abs(force - solved).max() <= 1e-3 * np.abs(solved).max()
@@ -305,7 +304,7 @@ def test_forces_are_found_within_the_limits(due, grasp):
                 "nrj,nr->j", jacobian[:, :3], np.einsum("nij,nj->ni", loop.grasp.frames, force)
             )
             assert loop.core.effort.saturated == (np.abs(torques).max() > MOTOR * (1.0 + 1e-9))
-            np.testing.assert_allclose(loop.torques, np.clip(torques, -MOTOR, MOTOR), atol=1e-9)
+            assert_allclose(loop.torques, np.clip(torques, -MOTOR, MOTOR), atol=1e-9)
             assert np.abs(torques).max() / MOTOR - 1.0 <= best.limit_excess * 1.02 + 1e-6
             assert loop.grasp.residual(force, load) < 1e-7
         ended.add("free" if fits else best.status.name)
@@ -345,7 +344,7 @@ def test_lost_closure_is_the_elastic_answer(touching):
         start = np.tile([1.0, 0.0, 0.0], len(here))
         wanted = elastic(start, np.column_stack(columns), unit, WEIGHTS[here], SOFTNESS)
         x = (force[here] * [0.4, 1.0, 1.0]).reshape(-1)
-        np.testing.assert_allclose(x, wanted, atol=1e-4 * np.abs(wanted).max())
+        assert_allclose(x, wanted, atol=1e-4 * np.abs(wanted).max())
     assert codes
     assert codes <= {INFEASIBLE, RANK_LOST}
 
@@ -369,5 +368,5 @@ def test_squeezes_are_internal_and_balanced(fingers):
         given = rest[here].reshape(-1)
         expected = given - np.linalg.pinv(matrix) @ (matrix @ given + wrench)
         # 1e-9 of the largest entry stands on the diagonal of the system
-        np.testing.assert_allclose(force[here].reshape(-1), expected, atol=1e-4)
+        assert_allclose(force[here].reshape(-1), expected, atol=1e-4)
         assert not force[np.array(fingers) == 0].any()

@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 import viser
 import zstandard
+from numpy.testing import assert_allclose
 from processes import start
 
 from grasp_env.config import EnvConfig
@@ -101,8 +102,8 @@ def test_forces_balance_the_load_within_their_cones(method, start):
     forces = GRASP.to_object_frame(found.solution.force)
     margins = found.columns["margin, N"]
     balance = [*forces.sum(axis=0), *np.cross(GRASP.positions, forces).sum(axis=0)]
-    np.testing.assert_allclose(balance, -LOAD, atol=1e-9)
-    np.testing.assert_allclose(
+    assert_allclose(balance, -LOAD, atol=1e-9)
+    assert_allclose(
         found.columns["normal, N"], np.einsum("ni,ni->n", forces, GRASP.normals), atol=1e-12
     )
     assert margins.min() > 0.0
@@ -141,11 +142,11 @@ def test_a_screw_is_drawn_about_its_axis():
         np.array([0.0, 0.3, 0.1, 0.0, 0.0, 2.0]), np.array([0.0, 0.0, 7.0]), 1.0
     )
     # where the velocity is along the axis
-    np.testing.assert_allclose(line[:, :2], [[-0.15, 0.0]] * 2, atol=1e-12)
+    assert_allclose(line[:, :2], [[-0.15, 0.0]] * 2, atol=1e-12)
     assert line[1, 2] > 7.0 > line[0, 2]  # it slides upwards
     assert np.cross(ring[0][0] - line[0], ring[0][1] - line[0])[2] > 0.0  # and turns to the left
     line, *ring = look.screw(np.array([0.0, -2.0, 0.0, 0.0, 0.0, 0.0]), np.zeros(3), 1.0)
-    np.testing.assert_allclose(line, [[0.0, 0.85, 0.0], [0.0, -0.85, 0.0]])
+    assert_allclose(line, [[0.0, 0.85, 0.0], [0.0, -0.85, 0.0]])
     assert np.ptp(ring) == 0.0
 
 
@@ -161,9 +162,9 @@ def test_contacts_lie_under_the_mouse(shape):
         assert met is not None
         place, inward = met
         nearest, normal, _ = surface.nearest(place)
-        np.testing.assert_allclose([*place, inward @ normal], [*nearest, 1.0], atol=2e-3)
+        assert_allclose([*place, inward @ normal], [*nearest, 1.0], atol=2e-3)
         assert inward @ (mouse - eye) > 0.0  # the side that the eye sees
-        np.testing.assert_allclose(np.cross(place - eye, mouse - eye), 0.0, atol=1e-12)
+        assert_allclose(np.cross(place - eye, mouse - eye), 0.0, atol=1e-12)
         assert cast_ray(mesh, eye, eye + np.cross(eye, inward)) is None  # beside the object
     for count in range(3, 9):
         assert answer(Grasp.from_contacts(*place_contacts(mesh, count), 0.5), LOAD).mood == "good"
@@ -191,7 +192,7 @@ def test_the_controls_set_the_problem(bare):
         expected = answer(**{"grasp": GRASP, "wrench": LOAD, **changes})
         normals = expected.columns["normal, N"]
         until(bare, lambda told=f"{normals[2]:.2f}</td>": told in panel(bare))
-        np.testing.assert_allclose(bare.answer.columns["normal, N"], normals, atol=1e-9)
+        assert_allclose(bare.answer.columns["normal, N"], normals, atol=1e-9)
         assert bare.answer.status == "held"
         assert bare.answer.facts["iterations"] == expected.facts["iterations"]
         control.value = before
@@ -199,14 +200,14 @@ def test_the_controls_set_the_problem(bare):
 
 def test_forces_and_cones_are_drawn_to_scale(bare):
     tails, heads = np.swapaxes(node(bare, "/contacts/forces").points, 0, 1)
-    np.testing.assert_allclose(heads, 10.0 * GRASP.positions, atol=1e-6)  # they push from outside
+    assert_allclose(heads, 10.0 * GRASP.positions, atol=1e-6)  # they push from outside
     forces = GRASP.to_object_frame(bare.answer.solution.force)
-    np.testing.assert_allclose((heads - tails) / bare._force_scale, forces, atol=1e-5)
+    assert_allclose((heads - tails) / bare._force_scale, forces, atol=1e-5)
     for k, normal in enumerate(GRASP.normals):
         rim = node(bare, f"/contacts/{k}/cone").vertices[1:]
         outward = -rim @ normal
         sideways = np.linalg.norm(rim + np.outer(outward, normal), axis=1)
-        np.testing.assert_allclose(sideways, 0.4 * outward, atol=1e-6)
+        assert_allclose(sideways, 0.4 * outward, atol=1e-6)
     bare.start.value = "none"
     until(bare, lambda: bare.answer.status == "not solved")
     assert "choose" in panel(bare)
@@ -222,23 +223,23 @@ def test_the_mouse_drags_load_and_contact(bare):
         head = np.array(node(bare, f"/load/{k}").position)
         away = np.array([0.2, 0.1, -0.3])
         drag(bare, f"/load/{k}", head + 0.01, head + 0.01 + away)
-        np.testing.assert_allclose(node(bare, f"/load/{k}").position, head + away, atol=1e-3)
-        np.testing.assert_allclose(node(bare, "/load").points[k, 1], head + away, atol=1e-3)
+        assert_allclose(node(bare, f"/load/{k}").position, head + away, atol=1e-3)
+        assert_allclose(node(bare, "/load").points[k, 1], head + away, atol=1e-3)
         scale = np.linalg.norm(head) / np.linalg.norm(load)
-        np.testing.assert_allclose(control.value, load + away / scale, atol=1e-4)
+        assert_allclose(control.value, load + away / scale, atol=1e-4)
     to = np.array([0.45, 0.1, 0.3])
     drag(bare, "/contacts/0", 10.0 * GRASP.positions[0], to)
     assert bare.answer.status == "cannot be held"
     # under the mouse
-    np.testing.assert_allclose(np.cross(10.0 * bare.positions[0] - EYE, to - EYE), 0.0, atol=1e-9)
+    assert_allclose(np.cross(10.0 * bare.positions[0] - EYE, to - EYE), 0.0, atol=1e-9)
     # of the side that it is on now
-    np.testing.assert_allclose(bare.normals[0], [-1.0, 0.0, 0.0], atol=1e-9)
+    assert_allclose(bare.normals[0], [-1.0, 0.0, 0.0], atol=1e-9)
     assert "red screw" in panel(bare)
     assert tuple(node(bare, "/object/body").color) == look.BAD
     assert (node(bare, "/screw").visible, node(bare, "/contacts/forces").visible) == (True, False)
     bare.count.value, bare.shape.value = 6, "sphere"
     until(bare, lambda: "contact 6" in panel(bare) and bare.answer.status == "held")
-    np.testing.assert_allclose(np.linalg.norm(bare.positions, axis=1), 0.05, rtol=2e-3)
+    assert_allclose(np.linalg.norm(bare.positions, axis=1), 0.05, rtol=2e-3)
     bare.again.value = True  # pressed
     until(bare, lambda: bare.shape.value == "cuboid")
     assert (bare.force.value, bare.count.value, bare.answer.status) == ((1.0, 0.5, -0.6), 4, "held")
@@ -355,7 +356,7 @@ def test_controls_change_hand_and_object(hand, monkeypatch):
     hand.mass.value = 0.4
     hand.draw()
     hand.advance(100)
-    np.testing.assert_allclose(pushes(hand).sum(axis=0), [0.0, 0.4 * 9.81, 0.0], atol=1e-3)
+    assert_allclose(pushes(hand).sum(axis=0), [0.0, 0.4 * 9.81, 0.0], atol=1e-3)
 
     def refuse(*_: Any) -> Any:
         raise SimulationError("the hand cannot hold this")
@@ -378,14 +379,14 @@ def test_controls_change_hand_and_object(hand, monkeypatch):
 def test_the_mouse_pulls_the_object(hand):
     drag(hand, "/object/body", (0.5, 0.0, 0.0), (0.5, 0.1, 0.0))
     # in metres: it is drawn ten times as large
-    np.testing.assert_allclose(hand.grip, [0.05, 0.0, 0.0], atol=1e-4)
-    np.testing.assert_allclose(hand.pull(), [0.0, 0.01 * STIFFNESS, 0.0], atol=0.05)
+    assert_allclose(hand.grip, [0.05, 0.0, 0.0], atol=1e-4)
+    assert_allclose(hand.pull(), [0.0, 0.01 * STIFFNESS, 0.0], atol=0.05)
     drag(hand, "/object/body", (0.5, 0.0, 0.0), (0.5, 10.0, 0.0))
     hand.advance(100)
-    np.testing.assert_allclose(hand.pull(), [0.0, 5.0, 0.0], atol=0.01)  # and no more
-    np.testing.assert_allclose(pushes(hand).sum(axis=0), [0.0, 0.2 * 9.81 - 5.0, 0.0], atol=2e-3)
+    assert_allclose(hand.pull(), [0.0, 5.0, 0.0], atol=0.01)  # and no more
+    assert_allclose(pushes(hand).sum(axis=0), [0.0, 0.2 * 9.81 - 5.0, 0.0], atol=2e-3)
     moments = np.cross(hand.stage.scene.look().touch, pushes(hand)).sum(axis=0)
-    np.testing.assert_allclose(moments, [0.0, 0.0, -0.05 * 5.0], atol=3e-3)
+    assert_allclose(moments, [0.0, 0.0, -0.05 * 5.0], atol=3e-3)
     hand.draw()
     assert all(text in panel(hand) for text in ("held", "5.0 N"))
     drag(hand, "/object/body", (0.5, 0.0, 0.0), ends=True)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from engines import bullet, needs_bullet
 from hands import numbers
+from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
 from grasp_env.errors import InvalidInputError
@@ -61,14 +62,14 @@ def test_project_is_that_of_opengl():
     project, look = (np.reshape(matrix, (4, 4)).T for matrix in matrices)  # in single precision
     clip = np.hstack([points, np.ones((30, 1))]) @ (project @ look).T
     device = clip[:, :3] / clip[:, 3:]
-    np.testing.assert_allclose(
+    assert_allclose(
         VIEW.project(points), (device[:, :2] * [0.5, -0.5] + 0.5) * [160, 120], atol=1e-3
     )
-    np.testing.assert_allclose(VIEW.depth(points), clip[:, 3], atol=1e-6)
+    assert_allclose(VIEW.depth(points), clip[:, 3], atol=1e-6)
     back = VIEW.unproject(np.full((120, 160), 0.5 * device[0, 2] + 0.5)).reshape(-1, 3)
-    np.testing.assert_allclose(VIEW.depth(back), clip[0, 3], atol=1e-5)
+    assert_allclose(VIEW.depth(back), clip[0, 3], atol=1e-5)
     centers = np.stack(np.meshgrid(np.arange(160) + 0.5, np.arange(120) + 0.5), axis=-1)
-    np.testing.assert_allclose(VIEW.project(back), centers.reshape(-1, 2), atol=1e-6)
+    assert_allclose(VIEW.project(back), centers.reshape(-1, 2), atol=1e-6)
     assert np.isfinite(VIEW.project([3.0 * np.array(VIEW.eye)])).all()  # behind the camera
 
 
@@ -81,7 +82,7 @@ def test_fitted_leaves_the_margins_free(size):
     wanted = np.array([[0.1, 0.1], [0.1, 0.2]])
     assert (free > wanted - 1e-9).all()
     assert np.isclose(free, wanted).all(axis=0).any()  # one direction is filled
-    np.testing.assert_allclose(view.axes, VIEW.axes, atol=1e-12)
+    assert_allclose(view.axes, VIEW.axes, atol=1e-12)
 
 
 def test_pictures_show_what_is_behind_the_object(scene):
@@ -131,7 +132,7 @@ def test_hidden_contacts_are_counted(scene):
         assert camera._contacts_seen(dataclasses.replace(above, eye=(0.86, 0.13, 0.86))) == 4
         assert camera._contacts_seen(above) < 4
     given = Camera(scene, CameraConfig(width=96, height=96, direction=(0.0, 0.5, 1.0))).view.axes[2]
-    np.testing.assert_allclose(given, np.array([0.0, 0.5, 1.0]) / np.sqrt(1.25), atol=1e-6)
+    assert_allclose(given, np.array([0.0, 0.5, 1.0]) / np.sqrt(1.25), atol=1e-6)
     assert camera.view.axes[2] @ DIRECTION / np.linalg.norm(DIRECTION) == pytest.approx(1.0)
 
 
@@ -143,11 +144,11 @@ def test_pictures_leave_the_scene_alone(scene):
     noted = camera.capture(note)
     assert (noted.shape, noted.dtype) == ((100, 120, 3), np.uint8)
     assert (noted != plain).any()
-    np.testing.assert_array_equal(camera.capture(note), noted)
-    np.testing.assert_array_equal(camera.capture(), plain)
+    assert_array_equal(camera.capture(note), noted)
+    assert_array_equal(camera.capture(), plain)
     fine = Camera(scene, CameraConfig(width=120, height=100, supersampling=2)).capture()
     assert 0.0 < np.abs(fine.astype(int) - plain).mean() < 10.0
-    np.testing.assert_array_equal(numbers(scene), state)
+    assert_array_equal(numbers(scene), state)
 
 
 @pytest.mark.parametrize(
@@ -248,7 +249,7 @@ def test_every_size_and_every_place_can_be_drawn(size):
         assert draw(Image.new("RGB", size), note, view).size == size
     image = np.random.default_rng(0).integers(0, 256, (300, 300, 3)).astype(np.uint8)
     out = np.array(draw(Image.fromarray(image), one_finger(), FRONT))
-    np.testing.assert_array_equal(out[:100], np.round(255 - (1.0 - VEIL) * (255.0 - image))[:100])
+    assert_array_equal(out[:100], np.round(255 - (1.0 - VEIL) * (255.0 - image))[:100])
 
 
 @pytest.mark.parametrize("size", [(480, 480), (320, 240)])
@@ -309,10 +310,10 @@ def test_smooth_edges_are_nearer_to_the_truth(angle, most):
 
 def test_lines_end_at_contacts():
     (start, end, _), (_, tip, _) = lines_of(one_finger(wrench=[0.0, 1.0, 0.0, 0.0, 0.0, 0.0]))
-    np.testing.assert_allclose(
+    assert_allclose(
         [start, end, tip], [[-0.08, 0.0, 0.0], [-0.03, 0.0, 0.0], [0.1, 0.15, 0.0]], atol=1e-12
     )
-    np.testing.assert_allclose(*lines_of(one_finger(active=[False]))[0][:2])
+    assert_allclose(*lines_of(one_finger(active=[False]))[0][:2])
 
 
 def test_portraits_are_upright():

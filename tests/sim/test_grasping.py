@@ -10,6 +10,7 @@ import pytest
 from engines import Client, bullet, create_body, joint_indices, needs_bullet
 from episodes import random_object
 from hands import gripper, load_hand
+from numpy.testing import assert_allclose, assert_array_equal
 
 from grasp_env import core
 from grasp_env.errors import InvalidInputError
@@ -44,10 +45,10 @@ def check(hand: HandDescription, item: ObjectDescription) -> GraspPlan:
     kinematics = HandKinematics(hand)
     plan = plan_grasp(item, kinematics)
     points, normals = grasp_points(item, kinematics)
-    np.testing.assert_array_equal([points, normals], [plan.points, plan.normals])
+    assert_array_equal([points, normals], [plan.points, plan.normals])
     on, inward = check_points(item, points, normals)
-    np.testing.assert_allclose(points, on, atol=1e-9)
-    np.testing.assert_allclose(normals, inward, atol=1e-6)
+    assert_allclose(points, on, atol=1e-9)
+    assert_allclose(normals, inward, atol=1e-6)
     half = 0.5 * np.array(item.extent)
     edge = {0.003: 0.005, 0.0015: 0.003, 0.0005: 0.001}[plan.clearance]
     if item.shape == "cuboid":
@@ -67,13 +68,13 @@ def check(hand: HandDescription, item: ObjectDescription) -> GraspPlan:
             item.surface.nearest(tip)[2] - radius
             for tip, radius in zip(tips, kinematics.tip_radii, strict=True)
         ]
-        np.testing.assert_allclose(gaps, wanted, atol=2e-5)  # bisection
+        assert_allclose(gaps, wanted, atol=2e-5)  # bisection
         assert (angles >= kinematics.lower - 1e-9).all()
         assert (angles <= kinematics.upper + 1e-9).all()
-        np.testing.assert_allclose(kinematics.coupled(angles), angles, atol=1e-12)
+        assert_allclose(kinematics.coupled(angles), angles, atol=1e-12)
         assert min(limbs.clearance(item.surface, angles)) > 1e-4
     touch = kinematics.tips(plan.angles) + kinematics.tip_radii[:, None] * plan.normals
-    np.testing.assert_allclose(touch, plan.points, atol=1e-6)
+    assert_allclose(touch, plan.points, atol=1e-6)
     if item.torsional_friction == 0.0:
         grasp = Grasp.from_contacts(
             plan.points, plan.normals, FRICTION_MARGIN * item.friction * hand.tip_friction
@@ -107,16 +108,16 @@ def test_random_objects_are_grasped(name):
 def test_the_reference_grasp_and_random_generators():
     hand = HandKinematics(FOUR)
     points, normals = grasp_points(ObjectDescription(), hand)
-    np.testing.assert_array_equal(points, paper_cuboid().positions)
-    np.testing.assert_array_equal(normals, paper_cuboid().normals)
+    assert_array_equal(points, paper_cuboid().positions)
+    assert_array_equal(normals, paper_cuboid().normals)
     usual, again = (
         grasp_points(ObjectDescription("cylinder", (0.08, 0.1)), hand)[0] for _ in range(2)
     )
     first, same = (
         grasp_points(ObjectDescription(), hand, np.random.default_rng(3))[0] for _ in range(2)
     )
-    np.testing.assert_array_equal(usual, again)
-    np.testing.assert_array_equal(first, same)
+    assert_array_equal(usual, again)
+    assert_array_equal(first, same)
     assert not np.array_equal(first, points)
 
 
@@ -165,11 +166,11 @@ def test_objects_that_cannot_be_held(item, hand, message):
 def test_given_points_are_moved_to_the_surface():
     box = ObjectDescription()
     points, normals = check_points(box, [[0.0, 0.01, 0.05005]])
-    np.testing.assert_allclose(points, [[0.0, 0.01, 0.05]])
-    np.testing.assert_allclose(normals, [[0.0, 0.0, -1.0]])
+    assert_allclose(points, [[0.0, 0.01, 0.05]])
+    assert_allclose(normals, [[0.0, 0.0, -1.0]])
     for normal in ([-1.0, 0.0, -1.0], [0.0, 0.0, -1.0]):  # on an edge
         _, (unit,) = check_points(box, [[0.05, 0.01, 0.05]], [normal])
-        np.testing.assert_allclose(unit, np.array(normal) / np.linalg.norm(normal))
+        assert_allclose(unit, np.array(normal) / np.linalg.norm(normal))
 
 
 @pytest.mark.parametrize(
@@ -264,7 +265,7 @@ def test_directions_of_approach():
         ((3.0, 0.0, 4.0), (0.6, 0.0, 0.8)),
     ):
         approach = Approach(as_approach(wanted, "approach"))
-        np.testing.assert_allclose(approach.draw(rng), axis, atol=1e-12)
+        assert_allclose(approach.draw(rng), axis, atol=1e-12)
         assert approach.allows(np.array(axis))
         assert not approach.allows(-np.array(axis))
     for height in (-1.0, -0.6, -0.4, 0.0, 0.4, 0.6, 1.0):

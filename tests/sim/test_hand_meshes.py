@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial import ConvexHull
 from urdf_text import finger, joint, link, read, small, solid
 
@@ -72,9 +73,9 @@ def test_meshes_are_found_and_become_hulls(tmp_path, name):
         files = hand_files(made)
         for file, written in files.items():
             (tmp_path / "urdf" / file).write_text(written)
-    np.testing.assert_allclose(np.abs(hulls[0]), np.tile((0.02, 0.015, 0.01), (8, 1)), atol=1e-7)
-    np.testing.assert_allclose(np.abs(hulls[1]), np.tile((0.01, 0.015, 0.02), (8, 1)), atol=1e-7)
-    np.testing.assert_array_equal(hulls[2], hulls[1])
+    assert_allclose(np.abs(hulls[0]), np.tile((0.02, 0.015, 0.01), (8, 1)), atol=1e-7)
+    assert_allclose(np.abs(hulls[1]), np.tile((0.01, 0.015, 0.02), (8, 1)), atol=1e-7)
+    assert_array_equal(hulls[2], hulls[1])
 
 
 CORNERS = b"v 0 0 0\nv 1 0 0\nv 0 1 0\n"
@@ -155,15 +156,11 @@ def test_cut_and_inset_boxes_are_boxes():
     left = cut_below(points, up, 0.005)
     inner = shrunk(points, 1e-3)
     bounds = [(left.min(axis=0), left.max(axis=0)), (inner.min(axis=0), inner.max(axis=0))]
-    np.testing.assert_allclose(
-        bounds[0], [(-0.01, -0.015, -0.02), (0.01, 0.015, 0.005)], atol=1e-12
-    )
-    np.testing.assert_allclose(
-        bounds[1], [(-0.009, -0.014, -0.019), (0.009, 0.014, 0.019)], atol=1e-9
-    )
+    assert_allclose(bounds[0], [(-0.01, -0.015, -0.02), (0.01, 0.015, 0.005)], atol=1e-12)
+    assert_allclose(bounds[1], [(-0.009, -0.014, -0.019), (0.009, 0.014, 0.019)], atol=1e-9)
     assert len(cut_below(points, up, -0.02)) == 0
     thin = shrunk(points * (1.0, 1.0, 0.03), 1e-3)  # 1.2 mm: a third of the ball of 0.6 mm goes
-    np.testing.assert_allclose(np.ptp(thin, axis=0), (0.0196, 0.0296, 0.0008), atol=1e-6)
+    assert_allclose(np.ptp(thin, axis=0), (0.0196, 0.0296, 0.0008), atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -203,7 +200,7 @@ def test_tips_are_given_by_place(tmp_path):
         solid('<box size="0.02 0.02 0.06"/>', "0 0 0.03"), more=fixed + '<link name="pad"/>'
     )
     given, _ = read(tmp_path, text, {"pad": ((0.01, 0.0, 0.002), 0.006)})
-    np.testing.assert_allclose(given.fingertips[0].center, (0.002, 0.0, 0.04), atol=1e-12)
+    assert_allclose(given.fingertips[0].center, (0.002, 0.0, 0.04), atol=1e-12)
     assert given.finger_names == ("pad",)
     named, _ = read(tmp_path, text, ["pad"])  # no shape of its own: that of its link, towards it
     assert named.fingertips[0].radius == pytest.approx(0.01, abs=1e-4)
@@ -285,9 +282,7 @@ def test_the_unit_of_a_dae_counts(tmp_path, unit, scale):
     write_dae(tmp_path, f"{unit}<up_axis>Y_UP</up_axis>")
     made, _ = read(tmp_path, small(BALL, mesh("a.dae", scale) + mesh("a.dae", scale, "visual")))
     (hull,), (look,) = made.palm.collision, made.palm.visual
-    np.testing.assert_allclose(
-        np.ptp(np.array(hull.corners), axis=0), (0.02, 0.03, 0.04), atol=1e-9
-    )
+    assert_allclose(np.ptp(np.array(hull.corners), axis=0), (0.02, 0.03, 0.04), atol=1e-9)
     # engines multiply the file's numbers by `size`: neither Bullet nor the reader of MuJoCo's
     # pictures applies the unit
     assert look == Geometry("mesh", look.size, file=str(tmp_path / "a.dae"))

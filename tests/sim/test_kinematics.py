@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from engines import HAND_FLAGS, Client, bullet, joint_indices, needs_bullet
 from hands import gripper, load_hand, mass_matrix
+from numpy.testing import assert_allclose, assert_array_equal
 
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand.description import HANDS, FingerDescription, HandDescription
@@ -81,34 +82,34 @@ def test_kinematics_and_dynamics_match_pybullet(name):
     for link, index in enumerate(indices):
         state = bullet.getLinkState(body, index, computeForwardKinematics=1, physicsClientId=number)
         # getLinkState rounds to single precision; the Jacobians below do not
-        np.testing.assert_allclose(origins[link], state[4], atol=3e-8)
+        assert_allclose(origins[link], state[4], atol=3e-8)
         rotation = np.array(bullet.getMatrixFromQuaternion(state[5])).reshape(3, 3)
-        np.testing.assert_allclose(frames[link], rotation, atol=1e-6)
+        assert_allclose(frames[link], rotation, atol=1e-6)
     for finger, link in enumerate(kinematics.tip_links.tolist()):
         # PyBullet measures the point from the link's origin along the principal axes of its inertia
         turn = bullet.getDynamicsInfo(body, indices[link], physicsClientId=number)[4]
         axes = np.array(bullet.getMatrixFromQuaternion(turn)).reshape(3, 3)
         place = (axes.T @ hand.fingertips[finger].center).tolist()
         theirs, _ = bullet.calculateJacobian(body, indices[link], place, given, zero, zero, number)
-        np.testing.assert_allclose(
+        assert_allclose(
             np.array(theirs)[:, columns], kinematics.jacobian(angles, finger), atol=1e-12
         )
     bullet.setGravity(*GRAVITY, physicsClientId=number)
     theirs = bullet.calculateInverseDynamics(body, given, zero, zero, physicsClientId=number)
-    np.testing.assert_allclose(
+    assert_allclose(
         kinematics.gravity_torques(angles, GRAVITY), np.array(theirs)[columns], atol=1e-12
     )
     tips = kinematics.tips(angles)
     jacobian, weight = kinematics.statics(angles, tips, GRAVITY)
-    np.testing.assert_array_equal(
+    assert_array_equal(
         jacobian, [kinematics.jacobian(angles, finger) for finger in range(len(tips))]
     )
-    np.testing.assert_array_equal(weight, kinematics.gravity_torques(angles, GRAVITY))
+    assert_array_equal(weight, kinematics.gravity_torques(angles, GRAVITY))
     total = mass_matrix(kinematics, angles)
-    np.testing.assert_allclose(kinematics.mass_matrix(angles), total, atol=1e-15)
+    assert_allclose(kinematics.mass_matrix(angles), total, atol=1e-15)
     theirs = np.array(bullet.calculateMassMatrix(body, given, physicsClientId=number))
     # PyBullet finds principal axes to about 1e-8 of the inertia
-    np.testing.assert_allclose(theirs[np.ix_(columns, columns)], total, atol=1e-11)
+    assert_allclose(theirs[np.ix_(columns, columns)], total, atol=1e-11)
     client.close()
 
 
@@ -129,16 +130,12 @@ def test_coupled_joints_add_to_their_drivers():
         np.array([one.coupled(angles + shift) for shift in np.eye(len(angles))]).T - angles[:, None]
     )
     near = {"rtol": 0, "atol": 1e-12}
-    np.testing.assert_allclose(
-        one.mass_matrix(angles), ends.T @ free.mass_matrix(angles) @ ends, **near
-    )
-    np.testing.assert_allclose(
+    assert_allclose(one.mass_matrix(angles), ends.T @ free.mass_matrix(angles) @ ends, **near)
+    assert_allclose(
         one.gravity_torques(angles, GRAVITY), free.gravity_torques(angles, GRAVITY) @ ends, **near
     )
     for finger in range(3):
-        np.testing.assert_allclose(
-            one.jacobian(angles, finger), free.jacobian(angles, finger) @ ends, **near
-        )
+        assert_allclose(one.jacobian(angles, finger), free.jacobian(angles, finger) @ ends, **near)
 
 
 def test_mobility_is_the_largest_acceleration():
@@ -183,7 +180,7 @@ def test_solve_starts_where_it_is_told_and_stays_near():
     own = kinematics.carries[0]
     angles = kinematics.solve(kinematics.tips(kinematics.home + 0.1 * own))
     assert own.sum() == 3
-    np.testing.assert_array_equal(angles[~own], kinematics.home[~own])
+    assert_array_equal(angles[~own], kinematics.home[~own])
 
 
 OUT_OF_REACH = [

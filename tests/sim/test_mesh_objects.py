@@ -18,6 +18,7 @@ import pytest
 import trimesh
 from engines import needs_bullet
 from episodes import ENV
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial import ConvexHull
 from trimesh import creation
 
@@ -98,16 +99,12 @@ def test_mass_and_moments_are_those_of_the_solid(made):
     solid.density = DENSITY
     assert item.mass == pytest.approx(DENSITY * solid.volume, rel=1e-9)
     # axes count as principal if the rest beside the diagonal is small
-    np.testing.assert_allclose(
-        np.sort(item.moments), np.sort(solid.principal_inertia_components), rtol=5e-6
-    )
+    assert_allclose(np.sort(item.moments), np.sort(solid.principal_inertia_components), rtol=5e-6)
     body = trimesh.Trimesh(*item.faces, process=False)
     body.density = DENSITY
-    np.testing.assert_allclose(
-        body.moment_inertia, item.inertia_matrix, atol=3e-6 * max(item.moments)
-    )
-    np.testing.assert_allclose(body.center_mass, 0.0, atol=1e-10)
-    np.testing.assert_allclose(body.extents, item.extent, atol=1e-12)
+    assert_allclose(body.moment_inertia, item.inertia_matrix, atol=3e-6 * max(item.moments))
+    assert_allclose(body.center_mass, 0.0, atol=1e-10)
+    assert_allclose(body.extents, item.extent, atol=1e-12)
     file = load_mesh(str(item.mesh), 1.0)
     back = item.faces[0] @ file.rotation + file.center  # the corners of the file
     assert (
@@ -123,18 +120,16 @@ def test_scale_and_copies(made):
     item = made[1]
     half = ObjectDescription.from_mesh(str(item.mesh), 0.5, density=DENSITY)
     assert half.mass == pytest.approx(item.mass / 8.0, rel=1e-12)
-    np.testing.assert_allclose(half.moments, np.array(item.moments) / 32.0, rtol=1e-12)
+    assert_allclose(half.moments, np.array(item.moments) / 32.0, rtol=1e-12)
     for one, other in zip(
         (item.faces[0], *item.pieces), (half.faces[0], *half.pieces), strict=True
     ):
-        np.testing.assert_array_equal(0.5 * one, other)
+        assert_array_equal(0.5 * one, other)
     found = item.surface.nearest(np.array([0.01, 0.05, 0.02]))
     stored = ObjectDescription(**json.loads(json.dumps(asdict(item))))
     for copy in (replace(item), pickle.loads(pickle.dumps(item)), stored):
         assert (copy, hash(copy)) == (item, hash(item))
-        np.testing.assert_array_equal(
-            copy.surface.nearest(np.array([0.01, 0.05, 0.02]))[0], found[0]
-        )
+        assert_array_equal(copy.surface.nearest(np.array([0.01, 0.05, 0.02]))[0], found[0])
     assert len(pickle.dumps(item)) < 2000  # without the mesh
 
 
@@ -145,7 +140,7 @@ def test_axes_turn_no_more_than_needed(tmp_path):
     turn = matrix[:3, :3]
     rod = turn @ np.diag([1.0, 2.0, 1.0]) @ turn.T
     rotation = principal_rotation(rod)
-    np.testing.assert_allclose(rotation @ rod @ rotation.T, np.diag([1.0, 2.0, 1.0]), atol=1e-9)
+    assert_allclose(rotation @ rod @ rotation.T, np.diag([1.0, 2.0, 1.0]), atol=1e-9)
     assert np.arccos(0.5 * (np.trace(rotation) - 1.0)) == pytest.approx(
         np.arccos(turn[1, 1]), abs=1e-6
     )
@@ -181,7 +176,7 @@ def test_pieces_cover_the_mesh(made):
     assert heights(item, points[hollow]).min() > 0.008
     if len(item.faces[1]) < 25:  # the L is cut fast
         for one, other in zip(item.pieces, convex_pieces(*item.faces, "again"), strict=True):
-            np.testing.assert_array_equal(one, other)
+            assert_array_equal(one, other)
 
 
 def test_a_fine_ball_is_one_piece_of_few_corners(tmp_path):

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import trimesh
 from hands import make_link, mass_matrix
+from numpy.testing import assert_allclose
 
 from grasp_env.config import EnvConfig
 from grasp_env.errors import GraspError, InvalidInputError, MissingExtraError, SimulationError
@@ -143,22 +144,22 @@ def test_kinematics_and_dynamics_are_the_cores(maker):
         frames, origins = kinematics.links(angles)
         for index in range(hand.joint_count):
             body = model.body(f"link{index}").id
-            np.testing.assert_allclose(data.xpos[body], origins[index], atol=1e-15)
-            np.testing.assert_allclose(data.xmat[body].reshape(3, 3), frames[index], atol=1e-14)
+            assert_allclose(data.xpos[body], origins[index], atol=1e-15)
+            assert_allclose(data.xmat[body].reshape(3, 3), frames[index], atol=1e-14)
         carrying = np.zeros((3, model.nv))
         for finger, (link, tip) in enumerate(
             zip(kinematics.tip_links.tolist(), kinematics.tips(angles), strict=True)
         ):
             mujoco.mj_jac(model, data, carrying, None, tip, model.body(f"link{link}").id)
-            np.testing.assert_allclose(
+            assert_allclose(
                 carrying[:, speeds] @ ends, kinematics.jacobian(angles, finger), atol=1e-14
             )
         whole = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, data, whole)
         ours = mass_matrix(kinematics, angles)
         weight = kinematics.gravity_torques(angles, GRAVITY)
-        np.testing.assert_allclose(ends.T @ whole[np.ix_(speeds, speeds)] @ ends, ours, atol=1e-15)
-        np.testing.assert_allclose(ends.T @ data.qfrc_bias[speeds], weight, atol=1e-14)
+        assert_allclose(ends.T @ whole[np.ix_(speeds, speeds)] @ ends, ours, atol=1e-15)
+        assert_allclose(ends.T @ data.qfrc_bias[speeds], weight, atol=1e-14)
 
 
 def coupled(hand: HandDescription) -> tuple[np.ndarray, np.ndarray]:
@@ -187,11 +188,11 @@ def test_drivers_hold_coupled_and_sliding_joints():
         return simulator.read()[:5]
 
     # it starts before the couplings are stretched
-    np.testing.assert_allclose(pushed(200, [0.0] * 5), kinematics.home, atol=1e-3)
+    assert_allclose(pushed(200, [0.0] * 5), kinematics.home, atol=1e-3)
     angles = pushed(100, [0.0, 0.02, 0.005, 0.0, 0.0])
     assert angles[1] > 0.011
     assert angles[2] > 0.35
-    np.testing.assert_allclose(angles, shift + ends @ angles, atol=1e-4)
+    assert_allclose(angles, shift + ends @ angles, atol=1e-4)
 
 
 @pytest.mark.parametrize("shape", ["cuboid", "sphere", "cylinder", "capsule", "mesh"])
@@ -211,8 +212,8 @@ def test_shapes_and_hulls_touch_where_they_are(shape, tmp_path):
             simulator.advance([0.0] * 5, None)
         contacts = simulator.read()[23:].reshape(-1, 7)
         assert (contacts[:, 0] == -1.0).all()
-        np.testing.assert_allclose(contacts[:, 4:].sum(axis=0), [0.0, 0.2 * 9.81, 0.0], atol=0.02)
-        np.testing.assert_allclose(place(simulator)[:3], 0.0, atol=2e-4)
+        assert_allclose(contacts[:, 4:].sum(axis=0), [0.0, 0.2 * 9.81, 0.0], atol=0.02)
+        assert_allclose(place(simulator)[:3], 0.0, atol=2e-4)
 
 
 def test_changed_mass_friction_and_gravity():
@@ -221,17 +222,15 @@ def test_changed_mass_friction_and_gravity():
     assert simulator.model.geom_friction[-1, 0] == 0.9  # the object comes last
     simulator.set_gravity(np.array([2.0, 0.0, 0.0]))
     simulator.advance([0.0] * 5, [0.0, 0.4, 0.0, 0.0, 0.0, 0.002])
-    np.testing.assert_allclose(place(simulator)[7:10], [2e-3, 1e-3, 0.0], rtol=1e-12)
-    np.testing.assert_allclose(place(simulator)[12], 0.002e-3 / (0.4 * 0.1**2 / 6.0), rtol=1e-6)
+    assert_allclose(place(simulator)[7:10], [2e-3, 1e-3, 0.0], rtol=1e-12)
+    assert_allclose(place(simulator)[12], 0.002e-3 / (0.4 * 0.1**2 / 6.0), rtol=1e-6)
     # wrenches are in the object frame, velocities in the world frame: turned by 90 degrees about x,
     # z becomes -y
     simulator = alone(crooked_hand(), gravity=STILL)
     simulator.data.qpos[-4:] = math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0
     simulator.advance([0.0] * 5, [0.0, 0.0, 0.2, 0.0, 0.0, 0.002])
-    np.testing.assert_allclose(place(simulator)[7:10], [0.0, -1e-3, 0.0], atol=1e-9)
-    np.testing.assert_allclose(
-        place(simulator)[10:], [0.0, -0.002e-3 / (0.2 * 0.1**2 / 6.0), 0.0], atol=1e-9
-    )
+    assert_allclose(place(simulator)[7:10], [0.0, -1e-3, 0.0], atol=1e-9)
+    assert_allclose(place(simulator)[10:], [0.0, -0.002e-3 / (0.2 * 0.1**2 / 6.0), 0.0], atol=1e-9)
 
 
 def test_bullet_is_the_default_if_installed(monkeypatch, caplog):
@@ -355,4 +354,4 @@ def test_torsional_friction():
         for _ in range(100):
             simulator.advance([0.0] * 5, [0.0, 0.0, 0.0, 0.0, 0.01, 0.0])
         turned.append(place(simulator)[11])
-    np.testing.assert_allclose(turned, [0.01 * 0.1 / (0.4 * 0.2 * 0.05**2), 0.0], atol=1e-2)
+    assert_allclose(turned, [0.01 * 0.1 / (0.4 * 0.2 * 0.05**2), 0.0], atol=1e-2)

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from engines import Client, bullet, needs_bullet
 from hands import grasp_torques, numbers
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from grasp_env import core
@@ -46,11 +47,11 @@ def test_changed_mass_and_friction(make_scene):
         hold_still(scene, 1, push)
         gained.append(np.append(scene.look().linear, scene.look().angular))
         assert scene.config.object.mass == mass
-    np.testing.assert_allclose(
+    assert_allclose(
         gained[0][[1, 5]], np.array([0.1 / 0.2, 0.001 / 4e-4]) * scene.timestep, rtol=1e-12
     )
     # the inertia grows with the mass
-    np.testing.assert_allclose(gained[1], 0.4 * gained[0], rtol=1e-12)
+    assert_allclose(gained[1], 0.4 * gained[0], rtol=1e-12)
     client = scene.simulator.client.number
     world = scene.simulator.world
     scene.reset()
@@ -59,7 +60,7 @@ def test_changed_mass_and_friction(make_scene):
     bullet.resetBasePositionAndOrientation(world.object, (0.0, 0.0, 0.0), turned, client)
     scene.step(np.zeros(12), np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.001]))
     down = -np.array([0.1 / 0.5, 0.001 / 1e-3]) * scene.timestep
-    np.testing.assert_allclose(
+    assert_allclose(
         [scene.look().linear, scene.look().angular], np.outer(down, (0.0, 1.0, 0.0)), atol=1e-9
     )
     for link in range(-1, bullet.getNumJoints(world.hand, physicsClientId=client)):
@@ -79,17 +80,17 @@ def test_free_fall_and_changed_gravity(make_scene):
     hold_still(scene, steps)
     s = scene.look()
     dt = scene.timestep
-    np.testing.assert_allclose(s.linear, [0.0, -9.81 * steps * dt, 0.0], rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(s.position[1], -0.5 * 9.81 * steps * (steps + 1) * dt**2, rtol=1e-9)
-    np.testing.assert_array_equal(s.angular, 0.0)
-    np.testing.assert_allclose(s.rates, 0.0, atol=1e-9)  # gravity compensation holds the hand
-    np.testing.assert_allclose(s.angles, angles, atol=1e-9)
+    assert_allclose(s.linear, [0.0, -9.81 * steps * dt, 0.0], rtol=1e-9, atol=1e-12)
+    assert_allclose(s.position[1], -0.5 * 9.81 * steps * (steps + 1) * dt**2, rtol=1e-9)
+    assert_array_equal(s.angular, 0.0)
+    assert_allclose(s.rates, 0.0, atol=1e-9)  # gravity compensation holds the hand
+    assert_allclose(s.angles, angles, atol=1e-9)
     gravity = np.array([3.0, 1.0, -2.0])
     scene.set_gravity(gravity)
     scene.reset()  # does not undo it
     hold_still(scene, 10)
-    np.testing.assert_allclose(scene.look().linear, 10 * dt * gravity, rtol=1e-9)
-    np.testing.assert_allclose(scene.look().rates, 0.0, atol=1e-9)
+    assert_allclose(scene.look().linear, 10 * dt * gravity, rtol=1e-9)
+    assert_allclose(scene.look().rates, 0.0, atol=1e-9)
 
 
 def test_nothing_is_damped(make_scene):
@@ -97,7 +98,7 @@ def test_nothing_is_damped(make_scene):
     scene.step(np.full(12, 1e-4), np.array([0.0, 1.0, 0.0, 0.0, 0.002, 0.0]))
     first = np.append(scene.look().linear, scene.look().angular)
     hold_still(scene, 20)
-    np.testing.assert_allclose(
+    assert_allclose(
         np.append(scene.look().linear, scene.look().angular), first, rtol=1e-9, atol=1e-12
     )
     assert first[[1, 4]].min() > 0.0
@@ -113,8 +114,8 @@ def test_joints_give_all_their_torque_and_no_more(make_scene):
         scene.step(np.array([0.0, torque, 0.0] + [0.0] * 9))
         speeds.append(scene.look().rates.copy())
     assert abs(speeds[1][1]) > 100.0
-    np.testing.assert_allclose(speeds[1], 100.0 * speeds[0], rtol=1e-6, atol=1e-9)
-    np.testing.assert_array_equal(speeds[2], speeds[1])  # clipped
+    assert_allclose(speeds[1], 100.0 * speeds[0], rtol=1e-6, atol=1e-9)
+    assert_array_equal(speeds[2], speeds[1])  # clipped
 
 
 def test_forces_and_momentum_balance(make_scene, make_holder, engine):
@@ -134,7 +135,7 @@ def test_forces_and_momentum_balance(make_scene, make_holder, engine):
             + scene.config.object.mass * scene.gravity
         )
         missed.append(0.2 * (s.linear - before) / scene.timestep - acts)
-    np.testing.assert_allclose(missed, 0.0, atol=1e-3)  # [N]; it turns a little within the step
+    assert_allclose(missed, 0.0, atol=1e-3)  # [N]; it turns a little within the step
 
 
 CONFIG = SceneConfig()
@@ -166,7 +167,7 @@ def test_invalid_arguments(make_scene, call, message):
     before = numbers(scene)
     with pytest.raises((InvalidInputError, SimulationError), match=message):
         call(scene)
-    np.testing.assert_array_equal(numbers(scene), before)
+    assert_array_equal(numbers(scene), before)
 
 
 def test_closed_scenes_and_copies(make_scene, engine):
@@ -226,34 +227,28 @@ def test_snapshots_are_those_of_bullet(held, make_holder):
     for joint, index in enumerate(world.joints):
         state = bullet.getLinkState(world.hand, index, 1, 1, physicsClientId=client)
         # Bullet answers with single precision
-        np.testing.assert_allclose(s.origins[joint], state[4], atol=1e-6)
-        np.testing.assert_allclose(
-            s.frames[joint], Rotation.from_quat(state[5]).as_matrix(), atol=1e-6
-        )
+        assert_allclose(s.origins[joint], state[4], atol=1e-6)
+        assert_allclose(s.frames[joint], Rotation.from_quat(state[5]).as_matrix(), atol=1e-6)
     torques = bullet.calculateInverseDynamics(
         world.hand, s.angles.tolist(), [0.0] * 12, [0.0] * 12, physicsClientId=client
     )
-    np.testing.assert_allclose(s.gravity_torques, torques, atol=1e-9)
+    assert_allclose(s.gravity_torques, torques, atol=1e-9)
     position, quaternion = bullet.getBasePositionAndOrientation(world.object, client)
-    np.testing.assert_array_equal(s.position, position)
-    np.testing.assert_allclose(s.rotation, Rotation.from_quat(quaternion).as_matrix(), atol=1e-12)
-    np.testing.assert_array_equal(
-        [s.linear, s.angular], bullet.getBaseVelocity(world.object, client)
-    )
+    assert_array_equal(s.position, position)
+    assert_allclose(s.rotation, Rotation.from_quat(quaternion).as_matrix(), atol=1e-12)
+    assert_array_equal([s.linear, s.angular], bullet.getBaseVelocity(world.object, client))
     links = held.kinematics.tip_links.tolist()
     for finger, link in enumerate(links):
         tip = s.origins[link] + s.frames[link] @ held.config.hand.fingertips[finger].center
-        np.testing.assert_allclose(s.tips[finger], tip, atol=1e-12)
+        assert_allclose(s.tips[finger], tip, atol=1e-12)
         rows = bullet.getClosestPoints(
             world.hand, world.object, 0.01, linkIndexA=world.joints[link], physicsClientId=client
         )
         row = min(rows, key=lambda row: row[8])  # the tip's, among the shapes of its link
-        np.testing.assert_allclose(
-            s.points[finger], (np.array(row[6]) - s.position) @ s.rotation, atol=1e-6
-        )
-        np.testing.assert_allclose(s.normals[finger], -np.array(row[7]) @ s.rotation, atol=1e-5)
-        np.testing.assert_allclose(s.gaps[finger], row[8], atol=1e-6)
-        np.testing.assert_allclose(s.touch[finger], row[5], atol=1e-6)
+        assert_allclose(s.points[finger], (np.array(row[6]) - s.position) @ s.rotation, atol=1e-6)
+        assert_allclose(s.normals[finger], -np.array(row[7]) @ s.rotation, atol=1e-5)
+        assert_allclose(s.gaps[finger], row[8], atol=1e-6)
+        assert_allclose(s.touch[finger], row[5], atol=1e-6)
     held.step(np.zeros(12))  # the grasp opens: tips and object part and slide
     s = held.look()
     for finger, link in enumerate(links):
@@ -293,7 +288,7 @@ def test_friction_cone_is_round(make_scene, make_holder, angle):
             normal = np.einsum("ni,ni->n", s.forces, s.normals)
             ratios.append(np.linalg.norm(s.forces - normal[:, None] * s.normals, axis=1) / normal)
     assert push > 4.6
-    np.testing.assert_allclose(np.median(ratios, axis=0), 0.4, rtol=0.03)
+    assert_allclose(np.median(ratios, axis=0), 0.4, rtol=0.03)
 
 
 class Reading:
@@ -334,8 +329,8 @@ def test_contacts_add_up_and_others_are_stray(reading):
     s = reading.look(
         contact(link, at, (-0.5, 0.0, -2.0)), contact(link, at + 1e-4, (0.0, 0.25, -1.0))
     )
-    np.testing.assert_allclose(s.forces, [[0.0] * 3, [0.0] * 3, [-0.5, 0.25, -3.0], [0.0] * 3])
-    np.testing.assert_array_equal(s.touching, [0.0, 0.0, 1.0, 0.0])
+    assert_allclose(s.forces, [[0.0] * 3, [0.0] * 3, [-0.5, 0.25, -3.0], [0.0] * 3])
+    assert_array_equal(s.touching, [0.0, 0.0, 1.0, 0.0])
     assert s.stray[0] == 0.0
     # on the tip's link, more than 5 mm from the tip
     beside = reading.touch[1] + np.array([0.0, 5.5e-3, 0.0])
@@ -346,7 +341,7 @@ def test_contacts_add_up_and_others_are_stray(reading):
     ]
     s = reading.look(*rows, contact(-1, reading.touch[1], (0.0, 0.0, 2.0)))  # -1 is the palm
     assert s.stray[0] == pytest.approx(5.0 + 1.0 + 2.0)
-    np.testing.assert_array_equal(s.forces, 0.0)
+    assert_array_equal(s.forces, 0.0)
     assert not s.touching.any()
     # no force
     assert not reading.look(

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hands import numbers
+from numpy.testing import assert_allclose, assert_array_equal
 
 from grasp_env.errors import InvalidInputError, SimulationError, UnknownNameError
 from grasp_env.sim import ObjectDescription, Scene
@@ -37,12 +38,12 @@ def test_reset_is_exact(make_scene, make_holder, engine):
         for name in ("settled", "start"):
             held.reset(name)
             if name == "settled":
-                np.testing.assert_array_equal(held.look().forces, forces)
+                assert_array_equal(held.look().forces, forces)
             else:  # the nominal pose, before any contact
                 assert not held.look().touching.any()
-                np.testing.assert_array_equal(held.look().position, 0.0)
+                assert_array_equal(held.look().position, 0.0)
             rows = record(held, make_holder())
-            np.testing.assert_array_equal(rows, first.setdefault(name, rows))
+            assert_array_equal(rows, first.setdefault(name, rows))
         for _ in range(100 * (not lost)):
             held.step(np.zeros(12))
         assert lost or held.look().position[1] < -0.1
@@ -65,8 +66,8 @@ def test_loading_another_object_and_back_is_exact(held, make_holder):
     points = tuple((x, y, np.sign(z) * np.sqrt(0.04**2 - x * x)) for x, y, z in points)
     held.load(SceneConfig(object=can, contact_points=points))
     assert held.config.object == can
-    np.testing.assert_allclose(held.look().gaps, -1e-5, atol=1e-6)
-    np.testing.assert_allclose(held.look().points, points, atol=1e-6)
+    assert_allclose(held.look().gaps, -1e-5, atol=1e-6)
+    assert_allclose(held.look().points, points, atol=1e-6)
     for name in ("start", "settled"):
         with pytest.raises(UnknownNameError, match=name):
             held.reset(name)  # of the object before
@@ -77,7 +78,7 @@ def test_loading_another_object_and_back_is_exact(held, make_holder):
         held.load(SceneConfig(object=ObjectDescription(size=(0.1, 0.1, 0.6)), contact_points=far))
     assert held.config == config
     held.reset("here")
-    np.testing.assert_array_equal(record(held, make_holder()), first)
+    assert_array_equal(record(held, make_holder()), first)
 
 
 @pytest.mark.parametrize("push", [1e6, 1e12, 1e308])
@@ -101,7 +102,7 @@ def test_a_reset_mends_divergence(
     assert capfd.readouterr() == ("", "")
     assert not list(tmp_path.iterdir())
     scene.reset("settled")
-    np.testing.assert_array_equal(record(scene, make_holder()), first)
+    assert_array_equal(record(scene, make_holder()), first)
 
 
 def resident() -> int:

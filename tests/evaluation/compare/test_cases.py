@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from grasp_env.force import Objective
 from grasp_env.grasp import presets
@@ -34,8 +35,8 @@ def test_cases_repeat_and_depend_on_the_seed(name):
     again = make_cases(name, 12, 3)
     assert len(first) == len(again) >= 1
     for one, two in zip(first, again, strict=True):
-        np.testing.assert_array_equal(one.wrench, two.wrench)
-        np.testing.assert_array_equal(one.grasp.matrix, two.grasp.matrix)
+        assert_array_equal(one.wrench, two.wrench)
+        assert_array_equal(one.grasp.matrix, two.grasp.matrix)
     if name not in ("constant", "paper_path", "directions"):
         assert not np.array_equal(first[-1].wrench, make_cases(name, 12, 4)[-1].wrench)
 
@@ -46,7 +47,7 @@ def test_jumps_have_their_size(name, size):
         now, move = (
             (each / RADII).reshape(2, 3) for each in (case.wrench, case.wrench - case.before[1])
         )
-        np.testing.assert_allclose(np.linalg.norm(move, axis=1), size)
+        assert_allclose(np.linalg.norm(move, axis=1), size)
         assert np.linalg.norm(now, axis=1).max() <= 1.0
 
 
@@ -67,7 +68,7 @@ def test_paths_are_chained():
     assert 100.0 < sizes.max() <= MAGNITUDES[1]
     named = np.array([wrench for _, wrench in directions()])
     assert len(named) == 18
-    np.testing.assert_allclose(np.linalg.norm(named / [1, 1, 1, 0.05, 0.05, 0.05], axis=1), 1.0)
+    assert_allclose(np.linalg.norm(named / [1, 1, 1, 0.05, 0.05, 0.05], axis=1), 1.0)
     assert np.linalg.matrix_rank(named) == 6
 
 
@@ -78,7 +79,7 @@ def test_contacts_lie_on_a_solid_and_press_into_it(base, shape):
     rng = np.random.default_rng(0)
     for _ in range(20):
         places, inward = recipe.points(rng, 6)
-        np.testing.assert_allclose(np.linalg.norm(inward, axis=1), 1.0, rtol=1e-12)
+        assert_allclose(np.linalg.norm(inward, axis=1), 1.0, rtol=1e-12)
         # the centre of a convex solid lies behind every face
         assert ((places * inward).sum(axis=1) < 0.0).all()
         assert np.linalg.norm(places, axis=1).min() >= HALF[0] * 0.99
@@ -129,12 +130,10 @@ def test_changes_of_contact_carry_forces():
             apart = np.linalg.norm(now.positions[:, None] - old.positions, axis=2)
             for finger in range(now.n_contacts):
                 if apart[finger].min() < 0.012:
-                    np.testing.assert_allclose(
-                        vectors[finger], before[apart[finger].argmin()], atol=1e-12
-                    )
+                    assert_allclose(vectors[finger], before[apart[finger].argmin()], atol=1e-12)
                 else:
                     assert case.event == "landed"
-                    np.testing.assert_allclose(new[finger], [0.1 / now.friction[finger], 0.0, 0.0])
+                    assert_allclose(new[finger], [0.1 / now.friction[finger], 0.0, 0.0])
     assert events == {"lost", "landed", "slipped"}
     assert without(presets.tripod(), 0) is None
 
