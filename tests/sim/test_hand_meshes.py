@@ -11,6 +11,7 @@ import pytest
 import trimesh
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial import ConvexHull
+from trimesh import creation
 from urdf_text import finger, joint, link, read, small, solid
 
 from grasp_env.errors import InvalidInputError
@@ -22,7 +23,7 @@ from grasp_env.sim.hand.urdf import hand_files
 from grasp_env.sim.objects import reading
 from grasp_env.sim.objects.cache import entries
 
-BOX = trimesh.creation.box((0.02, 0.03, 0.04))
+BOX = creation.box((0.02, 0.03, 0.04))
 BALL = solid('<sphere radius="0.01"/>')
 TIP = {"finger": ((0.0, 0.0, 0.005), 0.001)}
 
@@ -45,8 +46,8 @@ def outside(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
 
 def bent() -> Any:
     """Return an L of two boxes that share no corner."""
-    long = trimesh.creation.box((0.01, 0.01, 0.06))
-    short = trimesh.creation.box((0.03, 0.01, 0.01))
+    long = creation.box((0.01, 0.01, 0.06))
+    short = creation.box((0.03, 0.01, 0.01))
     return trimesh.util.concatenate([long, short.apply_translation((0.019, 0.0, -0.024))])
 
 
@@ -107,7 +108,7 @@ def test_looks_that_cannot_be_drawn_are_left_out(tmp_path, name, content, why):
     ("shape", "counts"),
     [
         (bent(), {2}),
-        (trimesh.creation.torus(0.03, 0.006, major_sections=32, minor_sections=16), range(3, 9)),
+        (creation.torus(0.03, 0.006, major_sections=32, minor_sections=16), range(3, 9)),
     ],
     ids=["bent", "ring"],
 )
@@ -127,11 +128,8 @@ def test_hollow_meshes_fall_into_pieces(shape, counts):
 def test_pieces_are_joined_and_soups_are_not_cut():
     """A cylinder half inside a box is one piece, no mesh has more than eight, and 20,000 loose
     triangles take no minutes."""
-    hidden = [trimesh.creation.cylinder(0.01, 0.04), trimesh.creation.box((0.03, 0.03, 0.05))]
-    row = [
-        trimesh.creation.box((0.004,) * 3).apply_translation((0.01 * k, 0.0, 0.0))
-        for k in range(12)
-    ]
+    hidden = [creation.cylinder(0.01, 0.04), creation.box((0.03, 0.03, 0.05))]
+    row = [creation.box((0.004,) * 3).apply_translation((0.01 * k, 0.0, 0.0)) for k in range(12)]
     rng = np.random.default_rng(0)
     corners = rng.normal(size=(20_000, 1, 3)) * 0.01 + rng.normal(size=(20_000, 3, 3)) * 0.005
     soup = trimesh.Trimesh(corners.reshape(-1, 3), np.arange(60_000).reshape(-1, 3), process=False)
@@ -142,7 +140,7 @@ def test_pieces_are_joined_and_soups_are_not_cut():
 
 def test_few_corners_contain_all_and_little_more():
     """40 corners around a ball stick out by an eighth of its radius."""
-    points = np.array(trimesh.creation.icosphere(3, 0.012).vertices)
+    points = np.array(creation.icosphere(3, 0.012).vertices)
     corners = few_corners(points)
     assert len(corners) <= MAX_CORNERS
     assert outside(points, corners).max() < 1e-9
@@ -177,7 +175,7 @@ def test_cut_and_inset_boxes_are_boxes():
 )
 def test_a_tip_is_the_ball_in_the_end_of_its_link(tmp_path, shapes, radius, end):
     if shapes == "dome":
-        trimesh.creation.capsule(0.03, 0.008, count=(32, 32)).export(tmp_path / "dome.stl")
+        creation.capsule(0.03, 0.008, count=(32, 32)).export(tmp_path / "dome.stl")
         shapes = mesh("dome.stl") + solid('<box size="0.016 0.024 0.03"/>', "0 0 0.01")
     made, _ = read(tmp_path, small(shapes))
     (tip,) = made.fingertips
@@ -226,7 +224,7 @@ def fail(*_: Any, **__: Any) -> Any:
 
 def test_the_second_reading_makes_nothing(tmp_path, monkeypatch):
     bent().export(tmp_path / "bent.stl")
-    trimesh.creation.icosphere(2, 0.01).export(tmp_path / "seen.obj")
+    creation.icosphere(2, 0.01).export(tmp_path / "seen.obj")
     text = small(mesh("seen.obj", role="visual"), mesh("bent.stl", "1 -1 0.5"))
     first, _ = read(tmp_path, text, ["finger"])  # the fingertip is sought in what is seen
     assert len(first.palm.collision) == 2
@@ -291,7 +289,7 @@ def test_the_unit_of_a_dae_counts(tmp_path, unit, scale):
 
 def write_dae(folder: Path, asset: str) -> None:
     """Write a box of 20 x 30 x 40 with elements in its <asset>."""
-    written: Any = trimesh.creation.box((20.0, 30.0, 40.0)).export(file_type="dae")
+    written: Any = creation.box((20.0, 30.0, 40.0)).export(file_type="dae")
     text = re.sub(r"<unit[^>]*/>|<up_axis>.*?</up_axis>", "", written.decode())
     assert "</asset>" in text
     (folder / "a.dae").write_text(text.replace("</asset>", f"{asset}</asset>"))

@@ -20,7 +20,7 @@ from engines import needs_bullet
 from episodes import ENV
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial import ConvexHull
-from trimesh import creation
+from trimesh import Trimesh, creation
 
 from grasp_env.errors import GraspWarning, InvalidInputError
 from grasp_env.sim import BulletEngine, ObjectDescription
@@ -44,24 +44,24 @@ def cube(x: float, y: float, z: float, at: tuple[float, float, float] = (0.0, 0.
     return manifold3d.Manifold.cube((x, y, z), True).translate(at)
 
 
-def of_manifold(made: Any) -> trimesh.Trimesh:
+def of_manifold(made: Any) -> Trimesh:
     mesh = made.to_mesh64()
-    return trimesh.Trimesh(
+    return Trimesh(
         np.array(mesh.vert_properties)[:, :3], np.array(mesh.tri_verts).astype(int), process=False
     )
 
 
-def l_shape() -> trimesh.Trimesh:
+def l_shape() -> Trimesh:
     return of_manifold(cube(0.05, 0.09, 0.05) + cube(0.09, 0.03, 0.05, at=(0.02, -0.03, 0.0)))
 
 
-def cup() -> trimesh.Trimesh:
+def cup() -> Trimesh:
     return of_manifold(cube(0.06, 0.08, 0.06) - cube(0.05, 0.08, 0.05, at=(0.0, 0.005, 0.0)))
 
 
 DENSITY = 400.0
-Made = tuple[trimesh.Trimesh, ObjectDescription]
-SOLIDS: dict[str, Callable[[], trimesh.Trimesh]] = {"L-shape": l_shape, "cup": cup}
+Made = tuple[Trimesh, ObjectDescription]
+SOLIDS: dict[str, Callable[[], Trimesh]] = {"L-shape": l_shape, "cup": cup}
 
 
 @pytest.fixture(scope="module", params=SOLIDS)
@@ -75,15 +75,15 @@ def made(request, tmp_path_factory):
     return solid, load(tmp_path_factory.mktemp("mesh"), solid, density=DENSITY, friction=0.8)[0]
 
 
-def box(*sides: float, at: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> trimesh.Trimesh:
+def box(*sides: float, at: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Trimesh:
     return creation.box(sides or (0.06, 0.05, 0.04)).apply_translation(at)
 
 
-def together(*meshes: trimesh.Trimesh) -> Any:
+def together(*meshes: Trimesh) -> Any:
     return trimesh.util.concatenate(meshes)
 
 
-def load(folder: Path, mesh: trimesh.Trimesh, **settings: Any) -> tuple[ObjectDescription, str]:
+def load(folder: Path, mesh: Trimesh, **settings: Any) -> tuple[ObjectDescription, str]:
     """The object, and its warnings."""
     mesh.export(folder / "a.obj", digits=17)
     with warnings.catch_warnings(record=True) as told:
@@ -100,7 +100,7 @@ def test_mass_and_moments_are_those_of_the_solid(made):
     assert item.mass == pytest.approx(DENSITY * solid.volume, rel=1e-9)
     # axes count as principal if the rest beside the diagonal is small
     assert_allclose(np.sort(item.moments), np.sort(solid.principal_inertia_components), rtol=5e-6)
-    body = trimesh.Trimesh(*item.faces, process=False)
+    body = Trimesh(*item.faces, process=False)
     body.density = DENSITY
     assert_allclose(body.moment_inertia, item.inertia_matrix, atol=3e-6 * max(item.moments))
     assert_allclose(body.center_mass, 0.0, atol=1e-10)
@@ -189,26 +189,26 @@ def test_a_fine_ball_is_one_piece_of_few_corners(tmp_path):
 # --- repairs
 
 
-def without(solid: trimesh.Trimesh, *gone: Any) -> trimesh.Trimesh:
-    return trimesh.Trimesh(solid.vertices, np.delete(solid.faces, gone, axis=0), process=False)
+def without(solid: Trimesh, *gone: Any) -> Trimesh:
+    return Trimesh(solid.vertices, np.delete(solid.faces, gone, axis=0), process=False)
 
 
-def flipped(solid: trimesh.Trimesh, every: int) -> trimesh.Trimesh:
+def flipped(solid: Trimesh, every: int) -> Trimesh:
     faces = np.array(solid.faces)
     faces[::every] = faces[::every, ::-1]
-    return trimesh.Trimesh(solid.vertices, faces, process=False)
+    return Trimesh(solid.vertices, faces, process=False)
 
 
-def open_seams(solid: trimesh.Trimesh, gap: float) -> trimesh.Trimesh:
+def open_seams(solid: Trimesh, gap: float) -> Trimesh:
     """Separate faces, their corners moved by a share of the size."""
     corners = np.array(solid.vertices)[solid.faces].reshape(-1, 3)
     corners = corners + np.random.default_rng(0).uniform(-0.5, 0.5, corners.shape) * gap * np.ptp(
         corners
     )
-    return trimesh.Trimesh(corners, np.arange(len(corners)).reshape(-1, 3), process=False)
+    return Trimesh(corners, np.arange(len(corners)).reshape(-1, 3), process=False)
 
 
-def nested(*sizes: float) -> trimesh.Trimesh:
+def nested(*sizes: float) -> Trimesh:
     """Balls within balls, every second one inside out."""
     balls = [creation.icosphere(1, size) for size in sizes]
     for ball in balls[1::2]:
@@ -216,7 +216,7 @@ def nested(*sizes: float) -> trimesh.Trimesh:
     return together(*balls)
 
 
-def beside() -> trimesh.Trimesh:
+def beside() -> Trimesh:
     """A small box inside out in the corner of an L: in the L's bounding box, but not in the L."""
     return together(l_shape(), flipped(box(0.01, 0.01, 0.01, at=(0.05, 0.03, 0.0)), 1))
 
@@ -225,7 +225,7 @@ WHOLE = 0.06 * 0.05 * 0.04
 BALL = creation.icosphere(1, 1.0).volume
 SHELL = (0.05**3 - 0.04**3) * BALL
 TURNED = "faces that pointed inward were turned"
-REPAIRS: dict[str, tuple[Callable[[], trimesh.Trimesh], float, str]] = {
+REPAIRS: dict[str, tuple[Callable[[], Trimesh], float, str]] = {
     "a hole": (lambda: without(box(), 0), WHOLE, "holes were filled with 1 faces"),
     "a missing side": (
         lambda: without(box(), *np.flatnonzero(box().face_normals[:, 2] > 0.5)),
@@ -235,9 +235,7 @@ REPAIRS: dict[str, tuple[Callable[[], trimesh.Trimesh], float, str]] = {
     "flipped faces": (lambda: flipped(box(), 3), WHOLE, "faces were turned"),
     "inside out": (lambda: flipped(box(), 1), WHOLE, TURNED),
     "double faces": (
-        lambda: trimesh.Trimesh(
-            box().vertices, np.vstack([box().faces, box().faces[:3]]), process=False
-        ),
+        lambda: Trimesh(box().vertices, np.vstack([box().faces, box().faces[:3]]), process=False),
         WHOLE,
         "duplicate faces",
     ),
@@ -292,7 +290,7 @@ def test_repairs_are_right_and_reported(name):
     assert volume(corners, faces) == pytest.approx(
         expected, rel=1e-4 if name == "open seams" else 1e-6
     )
-    assert trimesh.Trimesh(corners, faces).is_watertight
+    assert Trimesh(corners, faces).is_watertight
 
 
 def test_repairs_are_warned_of_each_time(tmp_path):
