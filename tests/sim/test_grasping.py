@@ -150,7 +150,7 @@ NOT_HELD = [
     (
         ObjectDescription("sphere", (0.05,)),
         FOUR.moved((0.0, 0.3, 0.0)),
-        r"'thumb' finds no place on it.*\d+ out of reach",
+        r"'thumb' finds no contact on it.*\d+ out of reach",
     ),
 ]
 

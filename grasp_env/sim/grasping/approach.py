@@ -1,4 +1,4 @@
-"""Direction of approach of a hand: from its palm to the object, as wanted and as found."""
+"""Direction from a hand's palm to the object: checks of a wanted one, and the actual one."""
 
 from __future__ import annotations
 
@@ -25,9 +25,7 @@ _PROBE, _STEP = 0.002, 1e-4  # diameter of the ball that probes for the palm, an
 
 
 def as_approach(value: Any, name: str) -> str | tuple[float, float, float]:
-    """Check a wanted direction, world frame: return a name in `DIRECTIONS`, or a vector (3,) with
-    unit length.
-    """
+    """Check a direction, world frame; return a name in `DIRECTIONS` or a unit vector."""
     if isinstance(value, str):
         return choice(
             value,
@@ -35,13 +33,13 @@ def as_approach(value: Any, name: str) -> str | tuple[float, float, float]:
             DIRECTIONS,
             ", or give the direction (3,) from the palm to the object, world frame",
         )
-    given = as_array(value, (3,), name)
-    largest = float(np.abs(given).max())
+    direction = as_array(value, (3,), name)
+    largest = float(np.abs(direction).max())
     if largest == 0.0:
         raise InvalidInputError(
-            f"{name}={given.tolist()} must have a direction; 'down' is (0, -1, 0)"
+            f"{name}={direction.tolist()} must have a direction; 'down' is (0, -1, 0)"
         )
-    direction = given / largest
+    direction = direction / largest
     x, y, z = (direction / np.linalg.norm(direction)).tolist()
     return x, y, z
 
@@ -53,14 +51,12 @@ class Approach:
     wanted: str | tuple[float, float, float]
 
     def __str__(self) -> str:
-        return (
-            repr(self.wanted)
-            if isinstance(self.wanted, str)
-            else f"({', '.join(f'{x:.3g}' for x in self.wanted)})"
-        )
+        if isinstance(self.wanted, str):
+            return repr(self.wanted)
+        return f"({', '.join(f'{x:.3g}' for x in self.wanted)})"
 
     def allows(self, direction: Array) -> bool:
-        """True if a direction (3,), unit, is within `DEVIATION` of the wanted one."""
+        """True if a unit direction (3,) is within `DEVIATION` of the wanted one."""
         wanted = self._vector
         if wanted is None:
             return bool(abs(direction[1]) <= math.sin(DEVIATION))
@@ -78,7 +74,7 @@ class Approach:
 
 
 def palm_direction(kinematics: HandKinematics, limbs: core.HandLimbs, center: Array) -> Array:
-    """Return the unit direction (3,) from the palm to the object's centre [m], (3,), hand frame.
+    """Return the unit direction (3,) from the palm to the object's centre (3,) [m], hand frame.
 
     It starts at the nearest point of the palm, or at the mean of the fingers' first joints if the
     palm has no shapes.
@@ -86,11 +82,11 @@ def palm_direction(kinematics: HandKinematics, limbs: core.HandLimbs, center: Ar
     probe = ObjectDescription("sphere", (_PROBE,)).surface
     still = np.eye(3).ravel().tolist()
 
-    def away(place: Array) -> float:
-        return limbs.moved(still, (-place).tolist(), kinematics.home).palm_gap(probe)
+    def palm_gap(point: Array) -> float:
+        return limbs.moved(still, (-point).tolist(), kinematics.home).palm_gap(probe)
 
     steps = _STEP * np.eye(3)
-    way = np.array([away(center + step) - away(center - step) for step in steps])
-    if not np.isfinite(way).all() or np.linalg.norm(way) < _STEP:
-        way = center - kinematics.roots.mean(axis=0)
-    return way / max(float(np.linalg.norm(way)), 1e-12)
+    away = np.array([palm_gap(center + step) - palm_gap(center - step) for step in steps])
+    if not np.isfinite(away).all() or np.linalg.norm(away) < _STEP:
+        away = center - kinematics.roots.mean(axis=0)
+    return away / max(float(np.linalg.norm(away)), 1e-12)

@@ -32,12 +32,12 @@ _ENOUGH = 24  # candidates to choose from
 _GOOD = 30.0  # force of the best grasp above which easier margins are tried [N]
 _WEAK = 60.0  # force at which the motors provide half of what a grasp requires [N]
 _ROOM = 0.003  # clearance that is not penalised [m]
-_MEETINGS, _MET = 20, 1e-9  # Newton steps; gap at which a tip touches [m]
+_NEWTON_STEPS, _TOUCHING = 20, 1e-9  # most steps; gap at which a tip touches [m]
 _IDLE = 1.3  # factor of the force for each finger that does not touch
 _LISTED = 6  # joints or pairs of fingers listed in a message
 _WIDE = 2.5  # range from which joints are listed in a message [rad]
-_MADE = 4.0  # exponent of the penalty on normal forces that motors do not make
-_MIN_MADE = 0.1  # lower bound of the motors' share
+_MIN_SHARE = 0.1  # lower bound of the motors' share of a normal force
+_SHARE_POWER = 4.0  # exponent of the penalty on a low share
 # ratio of a tip's smallest to largest singular value: not penalised; counted as zero
 _EVEN, _PLANAR = 0.25, 1e-3
 
@@ -50,25 +50,23 @@ def place_hand(
     least: int | None = None,
     approach: ArrayLike | str | None = None,
 ) -> HandDescription:
-    """Place a hand where it holds the object well, by choosing palm pose, rest posture and
-    fingertips.
+    """Choose the palm pose, rest posture and fingertips with which a hand holds the object well.
 
-    The object is at the origin of the world, gravity along -y, and the hand may come from any side.
-    Fingers that find no contact are left out if at least three others (two with soft contacts) hold
-    the object. The pads of a two-finger gripper must protrude at least 1.5 mm from its jaws: its
-    tips are moved towards each other for that.
+    The object is at the origin of the world, and gravity points along -y. Fingers that find no
+    contact are left out if at least three others (two with soft contacts) hold the object. The
+    tips of a two-finger gripper are moved towards each other until they protrude 1.5 mm from its
+    jaws.
 
     Args:
         hand: The hand; its pose and rest posture do not matter.
         item: The object.
         seed: Seed of the search, >= 0.
         least: Smallest number of fingers that touch; None for three, or two with soft contacts.
-        approach: Direction from the palm to the object, world frame, met within 30 degrees: "down",
+        approach: Direction from the palm to the object, world frame, within 30 degrees: "down",
             "up", "side", or a vector (3,). None for any.
 
     Returns:
-        A hand for which `plan_grasp` finds a grasp. Equal arguments give an equal result, which is
-        cached in the process.
+        A hand for which `plan_grasp` finds a grasp. The result is deterministic and cached.
 
     Raises:
         InvalidInputError: No palm pose was found; the message counts the reasons. Or the hand has
@@ -80,28 +78,26 @@ def place_hand(
         >>> plan_grasp(ball, HandKinematics(placed)).points.shape
         (3, 3)
     """
-    fewest = 2 if item.torsional_friction > 0.0 else 3
-    fingers = fewest if least is None else whole(least, "least", 1, hand.finger_count)
-    wanted = None if approach is None else as_approach(approach, "approach")
+    if least is None:
+        least = 2 if item.torsional_friction > 0.0 else 3
+    else:
+        least = whole(least, "least", 1, hand.finger_count)
+    direction = None if approach is None else Approach(as_approach(approach, "approach"))
     if hand.finger_count == SOFT_PAIR and item.torsional_friction == 0.0:
         raise InvalidInputError(
             f"no palm pose was found in which the hand {hand.name!r} grasps the {item.shape}: two fingers hold with soft contacts only. "
             f"Give the object torsional_friction [m], {torsion_of(item.friction):.2g} with soft pads that touch within {1e3 * PATCH_RADIUS:g} mm"
         )
-    return _placed(
-        hand, item, whole(seed, "seed", 0), fingers, None if wanted is None else Approach(wanted)
-    )
+    return _placed(hand, item, whole(seed, "seed", 0), least, direction)
 
 
 class _Candidate(NamedTuple):
-    """A candidate grasp: fingers that touch, rest posture (M,) [rad], and the hand's rotation (3,
-    3) and translation (3,) [m].
-    """
+    """A candidate grasp."""
 
-    fingers: tuple[int, ...]
-    home: Array
-    turn: Array
-    shift: Array
+    fingers: tuple[int, ...]  # that touch
+    home: Array  # rest posture [rad], (M,)
+    turn: Array  # rotation of the hand, (3, 3)
+    shift: Array  # translation of the hand [m], (3,)
 
 
 @lru_cache(maxsize=64)
@@ -111,40 +107,41 @@ def _placed(
     rng = np.random.default_rng(seed)
     trials = _Trials(hand, item)
     hand = trials.hand
-    places = astray = 0
+    places = misdirected = 0
     faced = np.zeros((hand.finger_count,) * 2, dtype=bool)
     best: tuple[float, float, HandDescription] | None = None
     for attempt in range(_MAX_ATTEMPTS):
         pushed = (attempt % 2 == 0) == (item.shape != "cuboid")
         sites, facing = find_sites(hand, item, rng, least, _SITES, pushed)
-        places = places + len(sites)
-        faced = faced | facing
+        places += len(sites)
+        faced |= facing
         palms = [None if approach is None else trials.palm(site) for site in sites]
-        found: list[_Candidate] = []
+        candidates: list[_Candidate] = []
         for tries in (0, 1):  # with the largest margins, then with easier ones
-            enough = len(found) + _ENOUGH
+            enough = len(candidates) + _ENOUGH
             for site, palm in zip(sites, palms, strict=True):
                 for _ in range(_TURNS):
                     turn = site.turned(rng, item, palm, approach)
                     if turn is None:
-                        astray += 1
+                        misdirected += 1
                         break
                     candidate = trials.grasp(site, turn, least, tries, rng)
-                    found += [] if candidate is None else [candidate]
-                if len(found) >= enough:
+                    if candidate is not None:
+                        candidates.append(candidate)
+                if len(candidates) >= enough:
                     break
-            ratings = [trials.rating(candidate) for candidate in found]
+            ratings = [trials.rating(candidate) for candidate in candidates]
             if tries == 0 and min(ratings, default=np.inf) > _GOOD:
                 continue
-            for rating, index in sorted(zip(ratings, range(len(found)), strict=True)):
-                if best is not None and rating >= best[0]:
+            for index in np.argsort(ratings, kind="stable"):
+                if best is not None and ratings[index] >= best[0]:
                     break
-                placed = trials.placed(found[index])
+                placed = trials.placed(candidates[index])
                 try:
                     plan = plan_grasp(item, HandKinematics(placed))
                 except InvalidInputError:
                     continue
-                best = rating, plan.force, placed
+                best = ratings[index], plan.force, placed
                 break
             if best is not None:
                 break
@@ -154,12 +151,10 @@ def _placed(
     if best is not None:
         return best[2]
     counts = ", ".join(f"{count} {what}" for what, count in trials.faults.most_common() if count)
-    aside = (
-        f", at {min(astray, places)} of which no side of the object comes from approach={approach}"
-    )
+    note = f", at {min(misdirected, places)} of which no side of the object comes from approach={approach}"
     raise InvalidInputError(
         f"no palm pose was found in which the hand {hand.name!r} grasps the {item.shape} of "
-        f"{' x '.join(f'{side:.3g}' for side in item.extent)} m: its fingers can surround it at {places} places{aside if astray else ''}; of the "
+        f"{' x '.join(f'{side:.3g}' for side in item.extent)} m: its fingers can surround it at {places} places{note if misdirected else ''}; of the "
         f"candidates tried there {counts or 'none is left'}. {'' if places else _never_facing(hand, faced)}{_wide_joints(hand)}Use an object of another size or "
         "more friction, another seed, or place the hand by `HandDescription.moved` and `home`"
     )
@@ -180,7 +175,7 @@ def _never_facing(hand: HandDescription, faced: NDArray[np.bool_]) -> str:
 
 
 def _wide_joints(hand: HandDescription) -> str:
-    """Return a sentence about joints whose ranges are wider than those of fingers, or ""."""
+    """Return a sentence about joints that turn further than those of fingers, or ""."""
     wide = [
         link.joint
         for link in hand.links
@@ -199,25 +194,23 @@ def _listed(names: list[str], between: str = ", ", kind: str = "") -> str:
 
 
 class _Trials:
-    """Trial grasps of one object by one hand in many poses, and the number of rejected candidates
-    by reason.
-    """
+    """Trial grasps of one object by one hand; counts rejected candidates in `faults`, by reason."""
 
     def __init__(self, hand: HandDescription, item: ObjectDescription) -> None:
         self.hand = with_protruding_tips(hand)
         self.item = item
         self.faults = Counter[str]()
         self._pairs = touching_pairs(hand, at_home=False)
-        self._parts: dict[tuple[int, ...], tuple[HandKinematics, core.HandLimbs]] = {}
+        self._subhands: dict[tuple[int, ...], tuple[HandKinematics, core.HandLimbs]] = {}
 
     def grasp(
         self, site: Site, turn: Array, least: int, tries: int, rng: np.random.Generator
     ) -> _Candidate | None:
-        """Try a grasp with the fingers of a site, or with those of them that find contacts."""
+        """Try a grasp with those fingers of a site that find contacts."""
         fingers = site.fingers
         shift = -turn @ site.center
         while len(fingers) >= least:
-            candidate = self._met(_Candidate(fingers, site.posture, turn, shift))
+            candidate = self._closed(_Candidate(fingers, site.posture, turn, shift))
             search = self._search(candidate)
             plan = search.run(rng, tries, _RAYS)
             self.faults.update(search.faults)
@@ -230,25 +223,23 @@ class _Trials:
             )
         return None
 
-    def _met(self, candidate: _Candidate) -> _Candidate:
-        """Move the hand and its motors until all tips touch at once, if no finger has a motor of
-        its own.
-        """
-        kinematics = self._part(candidate.fingers)[0]
+    def _closed(self, candidate: _Candidate) -> _Candidate:
+        """Move a hand whose fingers share their motors until all tips touch."""
+        kinematics = self._subhand(candidate.fingers)[0]
         if not one_motor(kinematics):
             return candidate
         angles = candidate.home.copy()
         shift = candidate.shift.copy()
-        for _ in range(_MEETINGS):
+        for _ in range(_NEWTON_STEPS):
             tips = kinematics.tips(angles) @ candidate.turn.T + shift
-            found = [self.item.surface.nearest(tip) for tip in tips]
-            inward = np.array([each[1] for each in found])
-            missed = np.array([each[2] for each in found]) - kinematics.tip_radii
-            if np.abs(missed).max() < _MET:
+            _, normals, distances = zip(*map(self.item.surface.nearest, tips), strict=True)
+            inward = np.array(normals)
+            gaps = np.array(distances) - kinematics.tip_radii
+            if np.abs(gaps).max() < _TOUCHING:
                 break
             turned = inward @ candidate.turn
             moves = [turned[i] @ kinematics.jacobian(angles, i) for i in range(len(tips))]
-            step = np.linalg.pinv(np.hstack([inward, np.array(moves)])) @ missed
+            step = np.linalg.pinv(np.hstack([inward, np.array(moves)])) @ gaps
             shift = shift + step[:3]
             angles = kinematics.coupled(
                 np.clip(angles + step[3:], kinematics.lower, kinematics.upper)
@@ -257,58 +248,54 @@ class _Trials:
 
     def palm(self, site: Site) -> Array:
         """Return the unit direction (3,) from the palm to the object at a site, hand frame."""
-        return palm_direction(*self._part(site.fingers), site.center)
+        return palm_direction(*self._subhand(site.fingers), site.center)
 
     def rating(self, candidate: _Candidate) -> float:
-        """Return the weighted force of the grasp found for a candidate [N], or inf if there is
-        none; smaller is better.
+        """Return the force of a candidate's grasp [N] times penalties; inf if it has no grasp.
 
-        Penalties multiply the force. With more than two fingers, one is on normal forces that
-        motors do not make, but the structure. Another is on little clearance, and one on tips that
-        hardly move in some direction, as these are slow to close. The last is on each finger that
-        does not touch: with more fingers, a grasp loses less when one slips.
+        With more than two fingers, normal forces of the structure instead of motors are penalised.
+        So are little clearance, and tips that hardly move in some direction, as they are slow to
+        close. Each finger that does not touch is penalised, too: with more fingers, a grasp loses
+        less when one slips.
         """
         plan: GraspPlan | None = self._search(candidate).run(np.random.default_rng(0))
         if plan is None:
             return np.inf
-        kinematics = self._part(candidate.fingers)[0]
+        kinematics = self._subhand(candidate.fingers)[0]
         moves = [
             kinematics.jacobian(plan.angles, finger) for finger in range(len(candidate.fingers))
         ]
-        levers = [np.linalg.svd(move, compute_uv=False) for move in moves]
-        made = [
-            float(np.linalg.norm(motor_force_basis(move[:, own]).T @ candidate.turn.T @ normal))
-            for move, own, normal in zip(moves, kinematics.carries, plan.normals, strict=True)
+        shares = [
+            float(np.linalg.norm(motor_force_basis(move[:, joints]).T @ candidate.turn.T @ normal))
+            for move, joints, normal in zip(moves, kinematics.carries, plan.normals, strict=True)
         ]
-        share = 1.0 if len(moves) == SOFT_PAIR else max(min(made), _MIN_MADE)
-        ratios = [values[-1] / values[0] for values in levers if values[-1] > _PLANAR * values[0]]
-        idle = self.hand.finger_count - len(candidate.fingers)
+        share = 1.0 if len(moves) == SOFT_PAIR else max(min(shares), _MIN_SHARE)
+        values = [np.linalg.svd(move, compute_uv=False) for move in moves]
+        ratios = [sizes[-1] / sizes[0] for sizes in values if sizes[-1] > _PLANAR * sizes[0]]
         uneven = max(1.0, _EVEN / min(ratios, default=1.0))
-        return (
-            plan.force * _IDLE**idle * uneven**2 * share**-_MADE * (_ROOM / plan.clearance) ** 0.5
-        )
+        force = plan.force * _IDLE ** (self.hand.finger_count - len(moves))
+        return force * uneven**2 * share**-_SHARE_POWER * (_ROOM / plan.clearance) ** 0.5
 
     def placed(self, candidate: _Candidate) -> HandDescription:
         """Return the hand in the pose of a candidate."""
         x, y, z = candidate.shift.tolist()
-        part = replace(self._part(candidate.fingers)[0].hand, home=tuple(candidate.home.tolist()))
-        return part.moved((x, y, z), roll_pitch_yaw(candidate.turn))
+        hand = self._subhand(candidate.fingers)[0].hand
+        hand = replace(hand, home=tuple(candidate.home.tolist()))
+        return hand.moved((x, y, z), roll_pitch_yaw(candidate.turn))
 
-    def _part(self, fingers: tuple[int, ...]) -> tuple[HandKinematics, core.HandLimbs]:
-        """Return kinematics and limbs of the hand with only some of its fingertips, in the given
-        pose.
-        """
-        if fingers not in self._parts:
+    def _subhand(self, fingers: tuple[int, ...]) -> tuple[HandKinematics, core.HandLimbs]:
+        """Return kinematics and limbs of the hand with only these fingertips."""
+        if fingers not in self._subhands:
             tips = tuple(self.hand.fingertips[finger] for finger in fingers)
             kinematics = HandKinematics(replace(self.hand, fingertips=tips))
             limbs = core.HandLimbs.make(
                 kinematics.tree, hand_limbs(kinematics.hand), kinematics.home, self._pairs
             )
-            self._parts[fingers] = kinematics, limbs
-        return self._parts[fingers]
+            self._subhands[fingers] = kinematics, limbs
+        return self._subhands[fingers]
 
     def _search(self, candidate: _Candidate) -> GraspSearch:
-        kinematics, limbs = self._part(candidate.fingers)
+        kinematics, limbs = self._subhand(candidate.fingers)
         moved = limbs.moved(
             candidate.turn.ravel().tolist(), candidate.shift.tolist(), candidate.home
         )

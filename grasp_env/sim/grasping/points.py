@@ -1,4 +1,4 @@
-"""Contacts on an object: force-closure grasps that a hand reaches, and checks of given contacts."""
+"""Contacts on an object: force-closure grasps that a hand reaches, and checks of contacts."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from grasp_env.sim.objects.description import ObjectDescription
 FRICTION_MARGIN = 0.85  # share of the friction that a grasp may use
 LARGEST_FORCE = 500.0  # largest total normal force of a grasp in the worst case [N]
 _GRAVITY, _PUSH, _TURN = 9.81, 2.0, 0.06  # loads that rate a grasp [m/s^2], [N], [N m]
-_ASIDE = 1e-3  # distance at which a given normal is tested [m]
+_ASIDE = 1e-3  # distance from the contact at which a normal is tested [m]
 _SPACE = 0.003  # least distance between fingers [m]
-_PLACES = 20
+_CONTACTS = 20  # candidates per finger
 _RAYS = 140
 _STARTS = 20
 _ROUNDS = 8
-_SPREAD = 0.7  # spread of the directions in which places are sought
+_SPREAD = 0.7  # spread of the rays' directions
 # flat surface [m], distance from joint limits [rad], clearance [m], distance to a mesh's pieces
 # [m]; easier row by row
 _MARGINS = (
@@ -46,7 +46,7 @@ _MISSES = (
     "with a link at the object",
     "without room to start",
     "without push along the normal",
-)
+)  # of candidates, in the core's order
 _FAULTS = (
     "with a link of the whole hand at the object",
     "with links that touch",
@@ -54,7 +54,7 @@ _FAULTS = (
     "with a link at the object at the start",
     "with links that touch at the start",
     "with fingers of one motor that do not touch together",
-)
+)  # of postures of the hand, in the core's order
 
 
 @dataclass(frozen=True)
@@ -69,8 +69,8 @@ class GraspPlan:
             from the object.
         force: Total normal force in the worst case [N], or the load of the most loaded joint if
             that is more: 30 N is its torque limit.
-        clearance: Clearance of the links from the object [m]. It also stands for the margins from
-            edges and joint limits.
+        clearance: Clearance of the links from the object [m]; margins from edges and joint limits
+            decrease with it.
     """
 
     points: Array
@@ -84,8 +84,7 @@ class GraspPlan:
 def grasp_points(
     item: ObjectDescription, kinematics: HandKinematics, rng: np.random.Generator | None = None
 ) -> tuple[Array, Array]:
-    """Find contacts with which the hand holds the object: points [m] and inward unit normals, (N,
-    3) each, of `plan_grasp`.
+    """Return the points [m] and inward unit normals, (N, 3) each, of `plan_grasp`.
 
     Example:
         >>> hand = HandKinematics(HandDescription.four_finger())
@@ -93,8 +92,8 @@ def grasp_points(
         >>> bool(np.allclose(points, -0.05 * normals))
         True
     """
-    found = plan_grasp(item, kinematics, rng)
-    return found.points, found.normals
+    plan = plan_grasp(item, kinematics, rng)
+    return plan.points, plan.normals
 
 
 def plan_grasp(
@@ -104,14 +103,13 @@ def plan_grasp(
 
     The fingers reach the contacts from the rest posture, away from edges, with margins to joint
     limits and between links. With 0.85 of the friction the contacts balance the weight, +-2 N and
-    +-0.06 N m. The rating is the total normal force in the worst case and its share of the torques
-    that the weight of the links leaves. The default cuboid in the four-finger hand keeps the
-    reference grasp.
+    +-0.06 N m. The best plan has the smallest `GraspPlan.force`. The default cuboid in the
+    four-finger hand keeps the reference grasp.
 
     Args:
         item: The object; its body frame is the world frame.
         kinematics: The hand.
-        rng: Random generator of the places that are tried; None for a fixed seed.
+        rng: Random generator of the candidate contacts; None for a fixed seed.
 
     Raises:
         InvalidInputError: The object is out of reach, too large for the hand, or cannot be held;
@@ -123,55 +121,49 @@ def plan_grasp(
         and item.size == (0.1, 0.1, 0.1)
         and kinematics.hand == _four_finger()
     ):
-        return _plan_of_points(
-            item, kinematics, np.array(paper_cuboid().positions), np.array(paper_cuboid().normals)
-        )
+        return _reference_plan(item, kinematics)
     search = GraspSearch(item, _limbs(kinematics), kinematics.hand)
-    found = search.run(np.random.default_rng(0) if rng is None else rng)
-    if found is None:
+    plan = search.run(np.random.default_rng(0) if rng is None else rng)
+    if plan is None:
         raise InvalidInputError(search.reason())
-    return found
+    return plan
 
 
-def _plan_of_points(
-    item: ObjectDescription, kinematics: HandKinematics, points: Array, normals: Array
-) -> GraspPlan:
-    """Return the plan for given contacts."""
+def _reference_plan(item: ObjectDescription, kinematics: HandKinematics) -> GraspPlan:
+    grasp = paper_cuboid()
+    points = np.array(grasp.positions)
     engine = engine_of(quiet=True)  # nothing is simulated
-    at = SceneConfig(kinematics.hand, item, tuple(map(tuple, points.tolist())), engine=engine)
-    angles, start = (
-        kinematics.solve(config.nominal_tips())
-        for config in (at, replace(at, clearance=START_CLEARANCE))
-    )
-    return GraspPlan(points, normals, angles, start, np.inf, 0.0)
+    config = SceneConfig(kinematics.hand, item, tuple(map(tuple, points.tolist())), engine=engine)
+    angles = kinematics.solve(config.nominal_tips())
+    start = kinematics.solve(replace(config, clearance=START_CLEARANCE).nominal_tips())
+    return GraspPlan(points, np.array(grasp.normals), angles, start, np.inf, 0.0)
 
 
 def check_points(
     item: ObjectDescription, points: ArrayLike, normals: ArrayLike | None = None
 ) -> tuple[Array, Array]:
-    """Project given contacts onto the surface, and check or find their normals.
+    """Project contacts onto the surface, and check or find their normals.
 
     Args:
         item: The object.
         points: Contacts [m], (N, 3), object frame, at most 0.1 mm off the surface.
         normals: Inward normals, (N, 3), of any length; on an edge any direction between the normals
-            of its faces. None to find them.
+            of its faces. None for those of the surface.
 
     Returns:
         Points [m] and unit normals, (N, 3) each.
 
     Raises:
-        InvalidInputError: A point is off the surface, or a normal points out of the object or is
-            not that of the surface.
+        InvalidInputError: A point is off the surface, or a normal is not the surface's.
 
     Example:
         >>> check_points(ObjectDescription("sphere"), [[0.0, 0.0, -0.05]])[1]
         array([[0., 0., 1.]])
     """
-    given = as_array(points, (None, 3), "points")
-    on = np.empty_like(given)
-    inward = np.empty_like(given)
-    for index, point in enumerate(given):
+    contacts = as_array(points, (None, 3), "points")
+    on = np.empty_like(contacts)
+    inward = np.empty_like(contacts)
+    for index, point in enumerate(contacts):
         on[index], inward[index], distance = item.surface.nearest(point)
         if abs(distance) > ON_SURFACE:
             raise InvalidInputError(
@@ -180,19 +172,18 @@ def check_points(
                 f"{np.round(on[index], 5).tolist()}"
             )
     if normals is not None:
-        wanted = as_array(normals, given.shape, "normals")
-        lengths = np.linalg.norm(wanted, axis=1)
+        vectors = as_array(normals, contacts.shape, "normals")
+        lengths = np.linalg.norm(vectors, axis=1)
         if not (lengths > 0.0).all():
             raise InvalidInputError(
-                f"normals={wanted.tolist()} must not be zero; leave them out to use the surface's"
+                f"normals={vectors.tolist()} must not be zero; leave them out to use the surface's"
             )
-        for index, unit in enumerate(wanted / lengths[:, None]):
-            # every normal of an edge has the property that the surface point nearest to a point
-            # outside along it is the contact
-            there, seen, _ = item.surface.nearest(on[index] - _ASIDE * unit)
-            if np.abs(there - on[index]).max() > 0.01 * _ASIDE or seen @ unit < 0.0:
+        for index, unit in enumerate(vectors / lengths[:, None]):
+            # for every normal of a face or edge, a point outside along it is nearest to the contact
+            nearest, normal, _ = item.surface.nearest(on[index] - _ASIDE * unit)
+            if np.abs(nearest - on[index]).max() > 0.01 * _ASIDE or normal @ unit < 0.0:
                 raise InvalidInputError(
-                    f"normals[{index}]={wanted[index].tolist()} must be the surface's inward normal "
+                    f"normals[{index}]={vectors[index].tolist()} must be the surface's inward normal "
                     f"{np.round(inward[index], 6).tolist()} at {on[index].tolist()}; leave normals out to use it"
                 )
             inward[index] = unit
@@ -202,9 +193,9 @@ def check_points(
 class GraspSearch:
     """Search for a grasp of one object by a hand, whose limbs are in its pose.
 
-    It makes pools of places for each finger, chooses among them, and finds postures of the whole
-    hand. It counts rejected candidates by reason in `faults`, and how often each finger found no
-    place in `short`.
+    It draws candidate contacts for each finger, chooses among them, and finds postures of the
+    whole hand. `faults` counts rejected candidates by reason, and `short` how often each finger
+    had no candidate.
     """
 
     def __init__(
@@ -232,25 +223,26 @@ class GraspSearch:
     def run(
         self, rng: np.random.Generator, tries: int = _TRIES, rays: int = _RAYS
     ) -> GraspPlan | None:
-        """Search for a grasp, with new places along `rays` and easier margins, `tries` times each,
-        after each failure; None if none is found.
+        """Search along `rays` per finger; after a failure, `tries` times with each easier margin.
+
+        None if no grasp is found.
         """
         if self._gap < _MARGINS[-1][2]:
             return None
         for margins in _MARGINS[:1] + _MARGINS[1:] * tries:
             counts = [
-                self.core.fill(finger, rng.random((rays, 6)), self._spread, margins, _PLACES)
+                self.core.fill(finger, rng.random((rays, 6)), self._spread, margins, _CONTACTS)
                 for finger in range(self.hand.finger_count)
             ]
             for finger, count in enumerate(counts):
                 self.short[finger] += count == 0
                 self.faults.update(dict(zip(_MISSES, self.core.misses(finger), strict=True)))
-            if min(counts) > 0 and (found := self._best(rng, margins[2])) is not None:
-                return found
+            if min(counts) > 0 and (plan := self._best(rng, margins[2])) is not None:
+                return plan
         return None
 
     def reason(self) -> str:
-        """Return the reason why `run` found none."""
+        """Explain why `run` found no grasp."""
         name = (
             f"the {self.item.shape} of {' x '.join(f'{side:.3g}' for side in self.item.extent)} m"
         )
@@ -264,54 +256,48 @@ class GraspSearch:
         if max(self.short) > 0:
             finger = self.hand.finger_names[int(np.argmax(self.short))]
             return (
-                f"{start}finger {finger!r} finds no place on it; of all places tried {counts}. Use an object of another size, "
+                f"{start}finger {finger!r} finds no contact on it; of all contacts tried {counts}. Use an object of another size, "
                 "move the finger's base, or let `place_hand` look for a palm pose"
             )
         return (
-            f"{start}the fingers reach it, but no choice of places balances its weight, +-2 N and +-0.06 N m with "
-            f"{FRICTION_MARGIN} of its friction {self.item.friction}; of places and choices tried {counts}; raise the friction, "
+            f"{start}the fingers reach it, but no choice of contacts balances its weight, +-2 N and +-0.06 N m with "
+            f"{FRICTION_MARGIN} of its friction {self.item.friction}; of contacts and choices tried {counts}; raise the friction, "
             "or use a hand with more fingers or another palm pose"
         )
 
     def _best(self, rng: np.random.Generator, clearance: float) -> GraspPlan | None:
-        """Return the best choice for which the whole hand has a posture that touches at the tips
-        only, or None.
-        """
+        """Return the best choice of contacts that the whole hand touches with its tips only."""
         fingers = self.hand.finger_count
         joints = self.hand.joint_count
         picks = rng.integers(0, 1 << 30, (_STARTS, fingers))
         forces = np.full(_ROUNDS, np.inf)
-        shape = (_ROUNDS, fingers, 3)
-        points = np.empty(shape)
-        normals = np.empty(shape)
-        choices = np.empty(shape[:2])
+        points = np.empty((_ROUNDS, fingers, 3))
+        normals = np.empty_like(points)
+        choices = np.empty((_ROUNDS, fingers))
         self.core.choose(picks.tolist(), forces, points, normals, choices)
-        for turn in np.argsort(forces, kind="stable"):
-            if forces[turn] > LARGEST_FORCE:
+        for best in np.argsort(forces, kind="stable"):
+            if forces[best] > LARGEST_FORCE:
                 self.faults["without force closure"] += 1
                 return None
             angles = np.empty(joints)
             start = np.empty(joints)
-            fault = self.core.assemble(
-                [int(place) for place in choices[turn]], clearance, angles, start
-            )
+            chosen = [int(contact) for contact in choices[best]]
+            fault = self.core.assemble(chosen, clearance, angles, start)
             if fault == 0:
-                return GraspPlan(
-                    points[turn], normals[turn], angles, start, float(forces[turn]), clearance
-                )
+                force = float(forces[best])
+                return GraspPlan(points[best], normals[best], angles, start, force, clearance)
             self.faults[_FAULTS[fault - 1]] += 1
         return None
 
 
 def _loads(mass: float, length: float) -> Array:
-    """Return the wrenches that the contacts must balance, moments over `length` [N], (14, 6); their
-    convex hull contains 0.
+    """Return the wrenches that the contacts must balance, moments over `length` [N], (14, 6).
+
+    Their convex hull contains 0.
     """
     weight = np.array([0.0, mass * _GRAVITY, 0.0, 0.0, 0.0, 0.0])
-    steps = np.concatenate([np.full(3, _PUSH), np.full(3, _TURN / length)])
-    return np.concatenate(
-        [weight + np.diag(steps), weight - np.diag(steps), [weight, -0.5 * weight]]
-    )
+    steps = np.diag([_PUSH] * 3 + [_TURN / length] * 3)
+    return np.concatenate([weight + steps, weight - steps, [weight, -0.5 * weight]])
 
 
 @lru_cache(maxsize=1)
@@ -329,7 +315,7 @@ def _limbs(kinematics: HandKinematics) -> core.HandLimbs:
 
 @lru_cache(maxsize=1)
 def _spread_directions() -> Array:
-    """Return unit directions in wrench space, (D, 6): the axes, then random points of the sphere."""
-    drawn = np.random.default_rng(6).standard_normal((_DIRECTIONS - 12, 6))
-    drawn /= np.linalg.norm(drawn, axis=1)[:, None]
-    return np.concatenate([np.eye(6), -np.eye(6), drawn])
+    """Return unit directions in wrench space, (D, 6): the axes and random ones."""
+    random = np.random.default_rng(6).standard_normal((_DIRECTIONS - 12, 6))
+    random /= np.linalg.norm(random, axis=1)[:, None]
+    return np.concatenate([np.eye(6), -np.eye(6), random])

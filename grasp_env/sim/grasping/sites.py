@@ -1,8 +1,8 @@
 """Sites in a hand where its fingertips can surround an object.
 
 Some hundred random postures show where each fingertip can be. A site is the centre of a ball as
-large as the object that touches tips of several fingers which oppose one another. For a cuboid, two
-of them meet one side and a third the opposite one.
+large as the object that touches the tips of several opposing fingers. At a cuboid two of them touch
+one side and a third the opposite one.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ _ALIGNED = 1.0, 3.0
 _OPPOSED = 0.45  # largest norm of the shortest convex combination of normals
 _PUSHED = 0.3  # weight of normal forces that motors do not make
 _APART = 0.004  # least distance between sites of the same fingers [m]
-_LOOKS = 40  # rotations drawn to find one with the wanted direction of the palm
-_PLAIN = 2  # rounds that use whole ranges of joints
-_FEW = 20  # number of sites below which later rounds use parts of these ranges
-_SPAN = 0.8  # largest part of a range in these rounds [rad]
-_PARTS = 3  # parts of a range in turn: lower end, middle, upper end
-_BESIDE = 0.1  # standard deviation of half of the later postures around those of sites found [rad]
-_END = 0.001  # least distance of later postures from the ends of the ranges [rad]
-_INSIDE = 0.05  # margin of first postures at the ends of a joint's range, relative to it
+_ROTATIONS = 40  # drawn to find one with the wanted direction of the palm
+_WIDE_ROUNDS = 2  # rounds that use whole ranges of joints
+_FEW = 20  # number of sites below which later rounds are narrow: they use sections of the ranges
+_SPAN = 0.8  # largest section [rad]
+_SECTIONS = 3  # in turn: lower end, middle, upper end
+_BESIDE = 0.1  # standard deviation of half of the narrow postures around those of sites [rad]
+_END = 0.001  # least distance of narrow postures from the ends of the ranges [rad]
+_INSIDE = 0.05  # margin of wide postures at the ends of a joint's range, relative to it
 
 
 @dataclass(frozen=True)
@@ -61,20 +61,17 @@ class Site:
         palm: Array | None,
         approach: Approach | None,
     ) -> Array | None:
-        """Draw a rotation (3, 3) from the hand's frame to the object's that turns `axis` into one
-        of its axes, or any direction if it is round.
+        """Draw a rotation (3, 3) from the hand's frame to the object's.
 
-        None if none of those drawn turns `palm`, the unit direction from the palm to the object,
-        into a wanted `approach`.
+        It turns `axis` into one of the object's axes, or any direction if the object is round, and
+        `palm`, the direction from the palm to the object, into `approach`. None if no such rotation
+        was drawn.
         """
         if approach is None or palm is None:
             return self._drawn(rng, item)
         if item.shape in ("sphere", "mesh"):
-            return (
-                _frame(approach.draw(rng), _directions(rng, 1)[0])
-                @ _frame(palm, _directions(rng, 1)[0]).T
-            )
-        for _ in range(_LOOKS):
+            return _random_turn(rng, palm, approach.draw(rng))
+        for _ in range(_ROTATIONS):
             turn = self._drawn(rng, item)
             if approach.allows(turn @ palm):
                 return turn
@@ -85,7 +82,7 @@ class Site:
         to[rng.integers(3)] = 1.0 if rng.random() < 0.5 else -1.0
         if item.shape in ("sphere", "mesh"):
             to = _directions(rng, 1)[0]
-        return _frame(to, _directions(rng, 1)[0]) @ _frame(self.axis, _directions(rng, 1)[0]).T
+        return _random_turn(rng, self.axis, to)
 
 
 def find_sites(
@@ -96,34 +93,30 @@ def find_sites(
     most: int,
     pushed: bool = True,
 ) -> tuple[list[Site], NDArray[np.bool_]]:
-    """Find at most `most` places, best first, at which at least `least` of the hand's fingers can
-    surround an object.
+    """Find up to `most` sites, best first, where `least` or more fingers can surround an object.
 
     Also return an array (N, N), True if two fingers faced each other with room for the object
-    between them. If `pushed`, sites are preferred at which motors push along the normals; they are
+    between them. If `pushed`, sites at which motors push along the normals are preferred; they are
     rare for some cuboids.
     """
     kinematics = HandKinematics(hand)
     low = np.maximum(kinematics.lower, -np.pi)
     high = np.minimum(kinematics.upper, np.pi)
     end = np.minimum(_END, _INSIDE * (high - low))
-    wide = low + end, high - end
+    ends = low + end, high - end
     low, high = low + _INSIDE * (high - low), high - _INSIDE * (high - low)
     shared = kinematics.carries.sum(axis=0) > 1
     locked = one_motor(kinematics)
-    found: list[Site] = []
+    candidates: list[Site] = []
     sites: list[Site] = []
     faced = np.zeros((hand.finger_count,) * 2, dtype=bool)
-    for turn in range(_LOCKED_ROUNDS if locked else _ROUNDS):
-        narrow = turn >= _PLAIN and len(sites) < _FEW and not locked
+    for number in range(_LOCKED_ROUNDS if locked else _ROUNDS):
+        narrow = number >= _WIDE_ROUNDS and len(sites) < _FEW and not locked
         postures = rng.random((_POSTURES, hand.joint_count))
         if narrow:
-            span = np.minimum(wide[1] - wide[0], _SPAN)
-            postures = (
-                wide[0]
-                + turn % _PARTS * (wide[1] - wide[0] - span) / (_PARTS - 1)
-                + postures * span
-            )
+            span = np.minimum(ends[1] - ends[0], _SPAN)
+            step = number % _SECTIONS * (ends[1] - ends[0] - span) / (_SECTIONS - 1)
+            postures = ends[0] + step + postures * span
         else:
             postures = low + postures * (high - low)
         if narrow and sites:
@@ -131,16 +124,16 @@ def find_sites(
                 rng.integers(len(sites), size=_POSTURES // 2)
             ]
             near = around + _BESIDE * rng.standard_normal(around.shape)
-            postures[: len(near)] = np.clip(near, *wide)
+            postures[: len(near)] = np.clip(near, *ends)
         if not locked:
-            postures[:, shared] = kinematics.home[shared] if turn % 2 == 0 else postures[0, shared]
+            even = number % 2 == 0
+            postures[:, shared] = kinematics.home[shared] if even else postures[0, shared]
         for posture in postures:
             kinematics.tree.couple(posture)
-        reach = _Reach(kinematics, item, postures, rng, pushed)
-        found += reach.around(least, faced)
-        found.sort(key=lambda site: site.score)
+        candidates += _Reach(kinematics, item, postures, rng, pushed).sites(least, faced)
+        candidates.sort(key=lambda site: site.score)
         sites = []
-        for site in found:
+        for site in candidates:
             if len(sites) == most:
                 return sites, faced
             alike = [other.center for other in sites if other.fingers == site.fingers]
@@ -184,16 +177,11 @@ class _Reach:
         )
         self.flatter = _FLATTER if item.shape == "cuboid" else 1.0
 
-    def around(self, least: int, faced: NDArray[np.bool_]) -> list[Site]:
-        """Find centres of a ball that tips of several fingers touch; note pairs that face each
-        other in `faced`.
-        """
+    def sites(self, least: int, faced: NDArray[np.bool_]) -> list[Site]:
+        """Find sites of `least` fingers or more; mark pairs that face each other in `faced`."""
         tips = self.tips
         fingers = self.fingers
-        rng = self.rng
-        item = self.item
-        radius = self.radius
-        centers, pairs, samples = self._between(radius + self.radii)
+        centers, pairs, samples = self._between(self.radius + self.radii)
         for side in (0, 1):
             good = self._clear(pairs[:, side], samples[:, side], centers)
             centers = centers[good]
@@ -203,9 +191,8 @@ class _Reach:
         centers = centers[:_CENTERS]
         pairs = pairs[:_CENTERS]
         samples = samples[:_CENTERS]
-        # (C, K, N)
-        away = np.linalg.norm(tips[None] - centers[:, None, None], axis=3) - radius - self.radii
-        near = np.abs(away) < _NEAR
+        distances = np.linalg.norm(tips[None] - centers[:, None, None], axis=3)  # (C, K, N)
+        near = np.abs(distances - self.radius - self.radii) < _NEAR
         rows = np.arange(len(centers))
         if self.locked:  # all fingers have the same posture
             near &= (np.arange(len(tips)) == samples[:, :1])[:, :, None]
@@ -216,11 +203,11 @@ class _Reach:
         for finger in range(fingers):
             for _ in range(_DRAWS):
                 left = np.flatnonzero(~members[:, finger] & near[:, :, finger].any(axis=1))
-                at: Indices = (near[left, :, finger] * rng.random((len(left), len(tips)))).argmax(
-                    axis=1
-                )
-                chosen[left, finger] = at
-                members[left, finger] = self._clear(np.full(len(left), finger), at, centers[left])
+                weights = near[left, :, finger] * self.rng.random((len(left), len(tips)))
+                drawn: Indices = weights.argmax(axis=1)
+                chosen[left, finger] = drawn
+                clear = self._clear(np.full(len(left), finger), drawn, centers[left])
+                members[left, finger] = clear
         rows = np.flatnonzero(members.sum(axis=1) >= least)
         centers = centers[rows]
         members = members[rows]
@@ -228,70 +215,70 @@ class _Reach:
         arms = centers[:, None] - tips[chosen, np.arange(fingers)]
         normals = arms / np.linalg.norm(arms, axis=2, keepdims=True)
         opposed = _shortest(normals, members)
-        out: list[Site] = []
+        sites: list[Site] = []
         for row in np.flatnonzero(opposed < _OPPOSED):
             touching = np.flatnonzero(members[row])
             pushing = normals[row, touching]
             axis = np.linalg.eigh(pushing.T @ pushing)[1][:, -1]
-            askew = 1.0 - float(np.abs(pushing @ axis).mean()) if item.shape == "cuboid" else 0.0
-            score = float(opposed[row]) + 0.1 * (fingers - len(pushing)) + self.aligned * askew
+            score = float(opposed[row]) + 0.1 * (fingers - len(pushing))
+            if self.item.shape == "cuboid":
+                score += self.aligned * (1.0 - float(np.abs(pushing @ axis).mean()))
             if self.pushes is not None:
-                made = np.einsum(
-                    "nij,nj->ni", self.pushes[chosen[row, touching], touching], pushing
-                )
-                score += _PUSHED * (1.0 - float(np.linalg.norm(made, axis=1).min()))
+                projectors = self.pushes[chosen[row, touching], touching]
+                shares = np.linalg.norm(np.einsum("nij,nj->ni", projectors, pushing), axis=1)
+                score += _PUSHED * (1.0 - float(shares.min()))
             posture = self._posture(centers[row], touching, chosen[row, touching])
-            out.append(Site(centers[row], posture, tuple(touching.tolist()), axis, score))
-        return out
+            sites.append(Site(centers[row], posture, tuple(touching.tolist()), axis, score))
+        return sites
 
     def _pushes(self) -> Array | None:
-        """Return projectors (K, N, 3, 3) onto the forces that motors make at the tips; None if
-        every finger has three motors or more.
+        """Return projectors (K, N, 3, 3) onto the forces that motors make at the tips.
+
+        None if every finger has three motors or more.
         """
         kinematics = self.kinematics
         if self.locked or kinematics.carries.sum(axis=1).min() > 2:
             return None
-        out = np.empty((len(self.postures), self.fingers, 3, 3))
+        projectors = np.empty((len(self.postures), self.fingers, 3, 3))
         for row, posture in enumerate(self.postures):
             for finger in range(self.fingers):
-                span = motor_force_basis(
-                    kinematics.jacobian(posture, finger)[:, kinematics.carries[finger]]
-                )
-                out[row, finger] = span @ span.T
-        return out
+                jacobian = kinematics.jacobian(posture, finger)
+                basis = motor_force_basis(jacobian[:, kinematics.carries[finger]])
+                projectors[row, finger] = basis @ basis.T
+        return projectors
 
     def _posture(self, center: Array, fingers: Indices, samples: Indices) -> Array:
-        """Return joint angles (M,) with these fingers as in these samples and the others away from
-        the object.
-        """
+        """Return joint angles (M,): these fingers as in these samples, the others far away."""
         if self.locked:
             return self.postures[samples[0]]
         posture = self.kinematics.home.copy()
-        away = np.linalg.norm(self.tips - center, axis=2).argmax(axis=0)
-        away[fingers] = samples
-        for finger, at in enumerate(away):
+        chosen = np.linalg.norm(self.tips - center, axis=2).argmax(axis=0)
+        chosen[fingers] = samples
+        for finger, sample in enumerate(chosen):
             joints = self.kinematics.carries[finger]
-            posture[joints] = self.postures[at, joints]
+            posture[joints] = self.postures[sample, joints]
         return self.kinematics.coupled(posture)
 
-    def _clear(self, fingers: Indices, samples: Indices, middles: Array) -> NDArray[np.bool_]:
-        """Return True (C,) if fingers (C,) in samples (C,) touch balls around `middles` (C, 3),
-        larger ones for cuboids, with their tips alone.
+    def _clear(self, fingers: Indices, samples: Indices, centers: Array) -> NDArray[np.bool_]:
+        """Return (C,) True if fingers (C,) in samples (C,) touch balls with their tips only.
+
+        The balls around `centers` (C, 3) are larger for cuboids.
         """
-        gaps = np.empty(len(fingers))
+        clear = np.empty(len(fingers), dtype=bool)
         tips = self.tips[samples, fingers]
-        middles = tips + self.flatter * (middles - tips)
+        centers = tips + self.flatter * (centers - tips)
         for finger in range(self.fingers):
             rows = np.flatnonzero(fingers == finger)
-            found = np.empty(len(rows))
-            places = np.ascontiguousarray(middles[rows])
-            self.limbs.beside(finger, self.postures[samples[rows]], places, 2.0 * _CLEAR, found)
-            gaps[rows] = found
-        return gaps > _CLEAR
+            gaps = np.empty(len(rows))
+            middles = np.ascontiguousarray(centers[rows])
+            self.limbs.beside(finger, self.postures[samples[rows]], middles, 2.0 * _CLEAR, gaps)
+            clear[rows] = gaps > _CLEAR
+        return clear
 
     def _between(self, sizes: Array) -> tuple[Array, Indices, Indices]:
-        """Find centres (C, 3) at distances `sizes` (N,) [m] from tips of two nearly opposite
-        fingers; return them, fingers and samples (C, 2).
+        """Find points (C, 3) at distances `sizes` (N,) [m] from tips of two nearly opposite fingers.
+
+        Also return their fingers and samples, (C, 2) each.
         """
         rng, tips, fingers = self.rng, self.tips, self.fingers
         samples = rng.integers(len(tips), size=(_PAIRS, 2))
@@ -300,7 +287,7 @@ class _Reach:
         one = rng.integers(fingers, size=_PAIRS)
         other = (one + rng.integers(1, max(fingers, 2), size=_PAIRS)) % fingers
         start = tips[samples[:, 0], one]
-        way = tips[samples[:, 1], other] - tips[samples[:, 0], one]
+        way = tips[samples[:, 1], other] - start
         apart = np.linalg.norm(way, axis=1)
         most = sizes[one] + sizes[other]
         kept = np.flatnonzero((one != other) & (apart < most) & (apart > _ACROSS * most))
@@ -310,19 +297,16 @@ class _Reach:
         other = other[kept]
         along = (apart**2 + sizes[one] ** 2 - sizes[other] ** 2) / (2.0 * apart)
         aside = np.cross(way, _directions(rng, len(kept)))
-        aside *= (
-            np.sqrt(np.maximum(sizes[one] ** 2 - along**2, 0.0)) / np.linalg.norm(aside, axis=1)
-        )[:, None]
-        return (
-            start[kept] + along[:, None] * way + aside,
-            np.column_stack([one, other]),
-            samples[kept],
-        )
+        height = np.sqrt(np.maximum(sizes[one] ** 2 - along**2, 0.0))
+        aside *= (height / np.linalg.norm(aside, axis=1))[:, None]
+        points = start[kept] + along[:, None] * way + aside
+        return points, np.column_stack([one, other]), samples[kept]
 
 
 def _shortest(normals: Array, members: NDArray[np.bool_]) -> Array:
-    """Return the norm (C,) of the shortest convex combination of unit normals (C, N, 3) of the
-    members (C, N), by Frank and Wolfe.
+    """Return the norm (C,) of the shortest convex combination of the members' unit normals.
+
+    By the method of Frank and Wolfe; the shapes are (C, N, 3) and (C, N).
     """
     weight = members / members.sum(axis=1, keepdims=True)
     total = np.einsum("cn,cnk->ck", weight, normals)
@@ -335,10 +319,13 @@ def _shortest(normals: Array, members: NDArray[np.bool_]) -> Array:
     return np.linalg.norm(total, axis=1)
 
 
+def _random_turn(rng: np.random.Generator, axis: Array, to: Array) -> Array:
+    """Return a random rotation (3, 3) that turns the unit vector `axis` into `to`."""
+    return _frame(to, _directions(rng, 1)[0]) @ _frame(axis, _directions(rng, 1)[0]).T
+
+
 def _frame(first: Array, second: Array) -> Array:
-    """Return a rotation with first column `first` and second column as near to `second` as
-    possible.
-    """
+    """Return a rotation with first column `first` and second column as near to `second` as can be."""
     second = second - (second @ first) * first
     second /= np.linalg.norm(second)
     return np.column_stack([first, second, np.cross(first, second)])
