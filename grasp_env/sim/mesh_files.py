@@ -1,9 +1,8 @@
-"""Mesh files of objects and of hands: the kinds that are read, their reading by trimesh, and .obj
-text.
+"""Mesh files of objects and of hands: the kinds that are read, and their reading by trimesh.
 
 `read_files` runs in a process of its own, see `objects.reading`. Coordinates stay in the file's
-units and axes. This holds for a .dae, too: its <unit> and <up_axis> are not applied, as a hand's
-scale factors include the unit, see `unit_of` of `hand.files.meshes`.
+units and axes. The <unit> and <up_axis> of a .dae are not applied, as a hand's scale factors
+include the unit, see `unit_of` of `hand.files.meshes`.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from grasp_env.sim.xml_files import read_xml
 MAX_FACES = 200_000
 """Largest number of triangles of a mesh."""
 MAX_MEMORY = 2000 * MEGABYTE
-"""Largest memory that reading may take [bytes]; files of `MAX_FACES` need a third of it."""
+"""Largest memory for reading [bytes]; files of `MAX_FACES` need a third of it."""
 KINDS = {
     ".obj": 40 * MEGABYTE,
     ".stl": 80 * MEGABYTE,
@@ -36,8 +35,7 @@ KINDS = {
     ".glb": 100 * MEGABYTE,
     ".dae": 40 * MEGABYTE,
 }
-"""Largest size [bytes] of each kind of file: twice that of `MAX_FACES` with normals and textures,
-and pictures in a .glb."""
+"""Largest size [bytes] of each kind of file: twice that of `MAX_FACES`, with pictures in a .glb."""
 EXPORT = "export it again as .obj or .stl"
 SIMPLIFY = (
     f"allowed are up to {MAX_FACES} faces; simplify it: pip install trimesh fast-simplification, then "
@@ -49,14 +47,14 @@ TOO_MUCH_MEMORY = f"needs more than {MAX_MEMORY // MEGABYTE} MB to be read; {SIM
 
 
 def obj_text(parts: Iterable[tuple[Array, Any]]) -> str:
-    """Return an .obj, with all digits, of parts that each have corners (V, 3) and faces (F, 3)."""
+    """Return the .obj, with all digits, of parts with corners (V, 3) and faces (F, 3) each."""
     lines = list[str]()
-    before = 1
+    first = 1
     for number, (corners, faces) in enumerate(parts):
         lines.append(f"o part{number}")
         lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in corners.tolist()]
-        lines += [f"f {i} {j} {k}" for i, j, k in (faces + before).tolist()]
-        before += len(corners)
+        lines += [f"f {i} {j} {k}" for i, j, k in (faces + first).tolist()]
+        first += len(corners)
     return "\n".join([*lines, ""])
 
 
@@ -65,29 +63,27 @@ class _FileFault(Exception):
 
 
 def read_files(kinds: Any, **files: Any) -> dict[str, Any]:
-    """Read files "file0", "file1", ..., uint8, of `kinds` such as ".obj".
+    """Read files "file0", "file1", ..., uint8, of `kinds` such as ".obj"; `apart` runs this.
 
-    `apart` runs this function.
-
-    Returns "corners0", (V, 3) float64 of its faces, in the file's units, and "faces0", (F, 3)
-    int64; or "fault0", what is wrong with it.
+    Returns the used "corners0", (V, 3) float64, in the file's units, and "faces0", (F, 3) int64;
+    or "fault0", what is wrong with the file.
     """
-    made = dict[str, Any]()
+    meshes = dict[str, Any]()
     for number, kind in enumerate(kinds.tolist()):
         try:
             corners, faces = _by_trimesh(files[f"file{number}"].tobytes(), kind)
-            made |= {f"corners{number}": corners, f"faces{number}": faces}
-        except _FileFault as fault:
-            made[f"fault{number}"] = np.array(str(fault))
+            meshes |= {f"corners{number}": corners, f"faces{number}": faces}
+            continue
+        except _FileFault as error:
+            fault = str(error)
         except MemoryError:
-            if len(kinds) > 1:  # it may be too much only beside the others
+            if len(kinds) > 1:  # the other files may have taken the memory
                 raise
-            made[f"fault{number}"] = np.array(TOO_MUCH_MEMORY)
-        except Exception as problem:  # each format has its own
-            made[f"fault{number}"] = np.array(
-                f"could not be read as {kind}: {_reason(problem)}; {EXPORT}"
-            )
-    return made
+            fault = TOO_MUCH_MEMORY
+        except Exception as error:  # each format has its own
+            fault = f"could not be read as {kind}: {_reason(error)}; {EXPORT}"
+        meshes[f"fault{number}"] = np.array(fault)
+    return meshes
 
 
 def _reason(problem: Exception) -> str:
@@ -99,7 +95,7 @@ def _reason(problem: Exception) -> str:
 
 
 class _NoOtherFiles:
-    """A resolver for trimesh that gives it no file besides the one that it reads."""
+    """A resolver that lets trimesh open no other file."""
 
     def get(self, name: str) -> NoReturn:
         raise _FileFault(
@@ -110,13 +106,13 @@ class _NoOtherFiles:
 
 
 def _by_trimesh(blob: bytes, kind: str) -> tuple[Array, Any]:
-    """Return the corners of faces, and the faces; the order is the file's."""
+    """Return the used corners and the faces, in the file's order."""
     import trimesh  # slow to import
 
     blob = _PLAIN[kind](blob)
     options = {"fix_texture": False} if kind == ".ply" else {"ignore_broken": False}
     with np.errstate(all="ignore"), warnings.catch_warnings():
-        # numpy would drop the rest
+        # after which numpy would drop the rest
         warnings.filterwarnings("error", "string or file could not be read")
         mesh: Any = trimesh.load_mesh(
             io.BytesIO(blob),
@@ -142,12 +138,12 @@ def _by_trimesh(blob: bytes, kind: str) -> tuple[Array, Any]:
 
 
 def unix_lines(text: bytes) -> bytes:
-    """Return a text with Unix line ends."""
+    """Replace all line ends by Unix line ends."""
     return text.replace(b"\r\n", b"\n").replace(b"\r", b"\n") if b"\r" in text else text
 
 
 def _plain_obj(blob: bytes) -> bytes:
-    """Keep corners and faces: at textures and materials trimesh would split corners and move faces."""
+    """Keep only corners and faces: textures and materials would split corners and move faces."""
     text = b"\n" + unix_lines(blob).replace(b"\\\n", b" ")
     corners = re.findall(rb"\n[ \t]*v[ \t]+(\S+[ \t]+\S+[ \t]+\S+)", text)
     rows = re.findall(rb"\n[ \t]*f[ \t]+(\S+[ \t]+\S+[ \t]+[^\s#][^\n#]*)", text)
@@ -165,7 +161,7 @@ def _plain_obj(blob: bytes) -> bytes:
 
 
 def _plain_stl(blob: bytes) -> bytes:
-    """Make one solid of the several that a text may have."""
+    """Merge the solids of a text to one."""
     if len(blob) == 84 + 50 * int.from_bytes(blob[80:84], "little"):
         return blob
     text = unix_lines(blob).lower()
@@ -176,20 +172,17 @@ def _plain_stl(blob: bytes) -> bytes:
 
 
 def _plain_ply(blob: bytes) -> bytes:
-    """Hide the textures of faces, as trimesh cannot read those of polygons with different numbers
-    of corners, and check a text's length.
-    """
+    """Hide the faces' textures, which trimesh may not read, and check a text's length."""
     head, end, body = blob.partition(b"end_header")
     if b"ascii" in head[:100]:
-        head, body = (
-            unix_lines(head),
-            b"\n" + _whole(body, sum(map(int, re.findall(rb"\nelement \S+ ([0-9]+)", head)))),
-        )
+        count = sum(map(int, re.findall(rb"\nelement \S+ ([0-9]+)", head)))
+        head = unix_lines(head)
+        body = b"\n" + _whole(body, count)
     return head.replace(b"texcoord", b"unused") + end + body
 
 
 def _plain_off(blob: bytes) -> bytes:
-    """Drop comments and check the length, as trimesh would leave out missing faces."""
+    """Drop comments and check the length, as trimesh ignores missing faces."""
     text = re.sub(rb"#.*", b"", unix_lines(blob))
     head = re.match(rb"\s*[A-Z]*OFF\s+([0-9]+)[ \t]+([0-9]+).*", text)
     if head is None:
@@ -198,7 +191,7 @@ def _plain_off(blob: bytes) -> bytes:
 
 
 def _whole(text: bytes, claimed: int) -> bytes:
-    """Return a text without empty lines, or raise an error if it has fewer lines than are claimed."""
+    """Drop empty lines, and raise an error if fewer are left than are claimed."""
     lines = [line for line in unix_lines(text).split(b"\n") if line.strip()]
     if len(lines) < claimed:
         raise ValueError(
@@ -209,16 +202,11 @@ def _whole(text: bytes, claimed: int) -> bytes:
 
 _TRIANGLES, _STRIP = 4, 5
 # extensions that do not change corners
-_COSMETIC = (
-    "KHR_materials",
-    "KHR_texture",
-    "EXT_texture",
-    "KHR_lights",
-)
+_COSMETIC = ("KHR_materials", "KHR_texture", "EXT_texture", "KHR_lights")
 
 
 def _plain_glb(blob: bytes) -> bytes:
-    """Drop cameras, points and lines, at which trimesh would lose the pose of a node's children."""
+    """Drop cameras, points and lines, as trimesh loses the pose of their nodes' children."""
     end = 20 + int.from_bytes(blob[12:16], "little")
     tree = json.loads(blob[20:end])
     for name in tree.get("extensionsRequired", []):
@@ -228,13 +216,11 @@ def _plain_glb(blob: bytes) -> bytes:
             )
     for mesh in tree.get("meshes", []):
         mesh["primitives"] = [
-            part for part in mesh["primitives"] if part.get("mode", _TRIANGLES) >= _TRIANGLES
+            entry for entry in mesh["primitives"] if entry.get("mode", _TRIANGLES) >= _TRIANGLES
         ]
-        for part in mesh["primitives"]:
-            if (
-                part.get("mode", _TRIANGLES) > _STRIP
-                or "sparse" in tree["accessors"][part["attributes"]["POSITION"]]
-            ):
+        for entry in mesh["primitives"]:
+            positions = tree["accessors"][entry["attributes"]["POSITION"]]
+            if entry.get("mode", _TRIANGLES) > _STRIP or "sparse" in positions:
                 raise _FileFault(
                     "has triangle fans or sparse corners, which are not supported; export plain triangles"
                 )
@@ -257,9 +243,7 @@ _DECORATION = ("bind_material", "extra", "instance_camera", "instance_light")
 
 
 def _plain_dae(blob: bytes) -> bytes:
-    """Keep corners and faces: broken materials would be errors, and trimesh would split corners at
-    normals and textures.
-    """
+    """Keep only corners and faces: normals and textures would split corners."""
     root = read_xml(blob)
     for element in root.iter():
         element.tag = element.tag.rpartition("}")[2]
@@ -280,17 +264,14 @@ def _plain_dae(blob: bytes) -> bytes:
 
 
 def _drop_inputs(group: Element) -> None:
-    """Reduce a group of faces to the indices of its corners, and check what pycollada would
-    misread.
-    """
+    """Keep only the corners' indices of a group of faces; check what pycollada would misread."""
     inputs = group.findall("input")
     vertex = next((entry for entry in inputs if entry.get("semantic") == "VERTEX"), None)
     if vertex is None or group.find("ph") is not None:
         raise _FileFault("has faces without an input VERTEX, or with holes; triangulate it")
     if any("-" in (indices.text or "") for indices in group.iter("p")):
         raise ValueError(_NO_CORNERS)
-    # a copy of the vertex input keeps the largest offset, which tells how many indices each corner
-    # has
+    # a copy of the vertex input keeps the largest offset: the number of indices per corner - 1
     last = max((entry.get("offset", "") for entry in inputs), key=int)
     group[:] = [
         vertex,
@@ -301,14 +282,12 @@ def _drop_inputs(group: Element) -> None:
 
 
 def _drop_sources(mesh: Element) -> None:
-    """Reduce the numbers of a mesh to the coordinates of its corners, and check what pycollada
-    would misread.
-    """
-    wanted = set[str]()
+    """Keep only the corners' coordinates of a mesh; check what pycollada would misread."""
+    names = set[str]()
     for vertices in mesh.findall("vertices"):
         vertices[:] = [entry for entry in vertices if entry.get("semantic") == "POSITION"]
-        wanted |= {entry.get("source", "")[1:] for entry in vertices}
-    mesh[:] = [part for part in mesh if part.tag != "source" or part.get("id") in wanted]
+        names |= {entry.get("source", "")[1:] for entry in vertices}
+    mesh[:] = [child for child in mesh if child.tag != "source" or child.get("id") in names]
     for accessor in mesh.iter("accessor"):
         if int(accessor.get("stride", "1")) != len(accessor) or accessor.get("offset", "0") != "0":
             raise ValueError("its corners are strided in a list of numbers, which is not supported")
@@ -324,4 +303,4 @@ _PLAIN = {
     ".glb": _plain_glb,
     ".dae": _plain_dae,
 }
-"""For each kind of file, the function that reduces its bytes to what trimesh has to read."""
+"""For each kind of file, the function that reduces its bytes to what trimesh must read."""

@@ -1,9 +1,8 @@
-"""Geometry of meshes as arrays, for objects and hands: volume, welding, open edges, connected
-parts.
-"""
+"""Geometry of meshes as arrays: volume, welding, open edges, connected parts, hulls."""
 
 from __future__ import annotations
 
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -11,18 +10,12 @@ import numpy as np
 from grasp_env.inputs.arguments import Array
 
 WELD = 1e-7
-"""Distance within which corners are merged, relative to the mesh's extent.
-
-An .stl repeats each corner for each of its faces.
-"""
-
-_DIRECTIONS = np.array(
-    [(x, y, z) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0) for z in (-1.0, 0.0, 1.0)]
-)
+"""Distance within which corners are merged, relative to the extent; an .stl repeats all corners."""
+_DIRECTIONS = np.array(list(product((-1.0, 0.0, 1.0), repeat=3)))
 
 
 def extent_of(corners: Array) -> float:
-    """Return the longest side of the bounding box of corners (V, 3), or 1 if all coincide."""
+    """Return the longest side of the bounding box of corners (V, 3); 1 if all coincide."""
     return float(np.ptp(corners, axis=0).max()) or 1.0
 
 
@@ -35,21 +28,18 @@ def volume(corners: Array, faces: Any) -> float:
 
 
 def weld(corners: Array, faces: Any, grain: float) -> tuple[Array, Any]:
-    """Merge corners within a cell of a grid; drop faces that become lines, and corners without a
-    face.
-    """
+    """Merge corners in the same cell of a grid; drop flat faces and unused corners."""
     kept, numbers = _distinct(np.round(corners / grain))
     faces = numbers[faces]
-    faces = faces[
-        (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
-    ]
+    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
     used, faces = np.unique(faces, return_inverse=True)
     return corners[kept][used], faces.reshape(-1, 3).astype(np.int64)
 
 
 def _distinct(cells: Array) -> tuple[Any, Any]:
-    """Return first indices and inverse of the unique rows of (V, 3): five times as fast as
-    `np.unique`, for up to 2^21 rows.
+    """Return the first indices and inverse of the unique rows of `cells` (V, 3), V < 2^21.
+
+    This is five times as fast as `np.unique`.
     """
     key = np.zeros(len(cells), np.int64)
     for column in cells.T:
@@ -67,12 +57,12 @@ def open_edges(faces: Any) -> int:
 
 
 def sides_of(faces: Any) -> Any:
-    """Return the first and second corner (3 F, 2) of the sides of faces (F, 3)."""
+    """Return the corners (3 F, 2) of the sides of faces (F, 3)."""
     return faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
 
 
 def numbered(ends: Any) -> tuple[Any, Any]:
-    """Return the unordered pairs among `ends` (S, 2), each once, and the index of each row's pair."""
+    """Return the unordered pairs among `ends` (S, 2), and the index of each row's pair."""
     ends = np.asarray(ends, np.int64)
     low = ends.min(axis=1)
     high = ends.max(axis=1)
@@ -87,8 +77,9 @@ def connected_parts(faces: Any) -> list[Any]:
 
 
 def grouped(faces: Any, links: Any, of_face: Any) -> list[Any]:
-    """Return the faces of each connected part of a graph with edges `links` (E, 2); `of_face` (F,)
-    is the node of each face.
+    """Return the faces of each connected part of a graph.
+
+    `links` (E, 2) are its edges, and `of_face` (F,) is the node of each face.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -101,15 +92,14 @@ def grouped(faces: Any, links: Any, of_face: Any) -> list[Any]:
 
 
 def farthest(points: Array) -> Any:
-    """Return the indices of the points (K, 3) that are farthest along the axes and diagonals, at
-    most 26, and the first.
-    """
+    """Return the indices of points (K, 3) that are farthest along axes and diagonals, and of one."""
     return np.unique((points @ _DIRECTIONS.T).argmax(axis=0))
 
 
 def reduce_hull(corners: Array, most: int, fine: float) -> Array:
-    """Choose at most `most` corners (K, 3) of a hull, the most important first, until all are
-    within `fine` times its size of the rest.
+    """Choose at most `most` corners (K, 3) of a hull, the most important first.
+
+    It ends when all corners are within `fine` times the hull's size of the chosen ones' hull.
     """
     from scipy.spatial import ConvexHull
 
@@ -120,8 +110,8 @@ def reduce_hull(corners: Array, most: int, fine: float) -> Array:
         planes = ConvexHull(corners[chosen]).equations
         heights = corners @ planes[:, :3].T + planes[:, 3]
         outside = heights.max(axis=1)
-        face = heights.argmax(axis=1)
         outside[chosen] = 0.0
+        face = heights.argmax(axis=1)
         order = np.argsort(-outside, kind="stable")
         order = order[outside[order] > fine * np.ptp(corners, axis=0).max()]
         if len(order) == 0:

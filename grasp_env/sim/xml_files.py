@@ -1,4 +1,4 @@
-"""Reading of XML: hands (URDF, xacro, MJCF) and meshes (.dae)."""
+"""Reading of XML files: hands (URDF, xacro, MJCF) and meshes (.dae)."""
 
 from __future__ import annotations
 
@@ -8,18 +8,14 @@ from xml.etree.ElementTree import Element, TreeBuilder, XMLParser
 
 
 class _Builder(TreeBuilder):
-    """Tree of an XML file without entities of its own, a few lines of which can expand to
-    gigabytes.
-    """
+    """Builder that rejects a DOCTYPE, whose entities can expand to gigabytes."""
 
     def doctype(self, *_: Any) -> NoReturn:
         raise ValueError("it holds a DOCTYPE; leave it out")
 
 
 def read_xml(blob: bytes) -> Element:
-    """Return the first element of an XML file without a DOCTYPE; comments before its declaration
-    are skipped.
-    """
+    """Return the root element of an XML file, whose declaration may follow comments."""
     if blob.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         blob = blob.decode("utf-16").encode()
     try:
@@ -28,9 +24,7 @@ def read_xml(blob: bytes) -> Element:
     except UnicodeDecodeError:  # only names and comments have such letters
         encoding = "iso-8859-1"
     parser = XMLParser(target=_Builder(), encoding=encoding)
-    parser.feed(
-        blob[max(0, blob.find(b"<?xml")) :]
-        if blob.lstrip().startswith((b"<?xml", b"<!--"))
-        else blob
-    )
+    if blob.lstrip().startswith((b"<?xml", b"<!--")):
+        blob = blob[max(0, blob.find(b"<?xml")) :]
+    parser.feed(blob)
     return parser.close()

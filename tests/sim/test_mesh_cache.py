@@ -101,7 +101,7 @@ def test_a_torn_mesh_is_mended(tmp_path, answer):
     )
     path = save(tmp_path / "parts.obj", corners, torn)
     with pytest.raises(
-        InvalidInputError, match=r"is not closed.*mend it with `grasp object mend FILE`"
+        InvalidInputError, match=r"is not closed.*repair it with `grasp object mend FILE`"
     ):
         ObjectDescription.from_mesh(path)
     code, told = answer("mend", path)

@@ -1,4 +1,4 @@
-"""Third-party algorithms in a process of their own, as some meshes make them crash or never end."""
+"""Third-party algorithms in a process of their own, as some files make them crash or never end."""
 
 from __future__ import annotations
 
@@ -20,11 +20,7 @@ from grasp_env.inputs.arguments import Array
 from grasp_env.sim.progress import ProgressLine
 
 # variables without which some Pythons do not start
-_NEEDED = (
-    "LD_LIBRARY_PATH",
-    "DYLD_LIBRARY_PATH",
-    "PYTHONHOME",
-)
+_NEEDED = ("LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "PYTHONHOME")
 
 
 def apart(
@@ -34,19 +30,18 @@ def apart(
     *,
     memory: int = 0,
     variables: Mapping[str, str] | None = None,
-    **given: Array,
+    **arrays: Array,
 ) -> dict[str, Array]:
-    """Run a function (module:function), which takes and returns arrays by name, in a process of its
-    own; Ctrl-C ends both processes.
+    """Run a function in a process of its own; Ctrl-C ends both processes.
 
     Args:
-        task: The function.
+        task: The function, as "module:function"; it takes and returns arrays by name.
         text: Description of the task on the progress line.
         seconds: Longest time [s].
         memory: Largest memory that the function may take [bytes]; 0: any.
         variables: The environment of the process, besides what Python needs to start; None: that of
             this process.
-        given: Arguments of the function.
+        arrays: Arguments of the function.
 
     Raises:
         TimeoutError: It exceeded the time limit.
@@ -55,19 +50,12 @@ def apart(
     paths = os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path)
     if variables is None:
         variables = os.environ
-    started = {name: os.environ[name] for name in _NEEDED if name in os.environ}
-    environment = {**started, **variables, "PYTHONPATH": paths}
+    needed = {name: os.environ[name] for name in _NEEDED if name in os.environ}
+    environment = {**needed, **variables, "PYTHONPATH": paths}
+    code = f"from {__name__} import work; work()"
     with tempfile.TemporaryDirectory() as folder:
-        np.savez(Path(folder, "given.npz"), **given)  # pyright: ignore[reportArgumentType]
-        command = [
-            sys.executable,
-            "-c",
-            f"from {__name__} import work; work()",
-            task,
-            folder,
-            str(seconds),
-            str(memory),
-        ]
+        np.savez(Path(folder, "input.npz"), **arrays)  # pyright: ignore[reportArgumentType]
+        command = [sys.executable, "-c", code, task, folder, str(seconds), str(memory)]
         with open(Path(folder, "output"), "w+b") as output:
             # not in the user's folder, from which modules would be imported
             child = subprocess.Popen(
@@ -85,14 +73,18 @@ def apart(
                 child.wait()
             if child.returncode != 0:
                 output.seek(0)
-                said = output.read()[-500:].decode(errors="replace")
-                raise ChildProcessError(said or f"exit code {child.returncode}")
-        with np.load(Path(folder, "made.npz"), allow_pickle=False) as made:
-            return {name: made[name] for name in made.files}
+                text = output.read()[-500:].decode(errors="replace")
+                raise ChildProcessError(text or f"exit code {child.returncode}")
+        return _load_arrays(folder, "output.npz")
+
+
+def _load_arrays(folder: str, name: str) -> dict[str, Any]:
+    with np.load(Path(folder, name), allow_pickle=False) as file:
+        return {key: file[key] for key in file.files}
 
 
 def _wait(child: subprocess.Popen[bytes], text: str, seconds: float) -> None:
-    """Wait until it ends, with a progress line."""
+    """Wait until the process ends, with a progress line."""
     end = time.monotonic() + seconds
     with ProgressLine() as line:
         while True:
@@ -106,28 +98,28 @@ def _wait(child: subprocess.Popen[bytes], text: str, seconds: float) -> None:
 
 
 def work() -> None:
-    """Run the task in the child process; Ctrl-C and the limits of time and memory end it even
-    within third-party code.
+    """Run the task in the child process.
+
+    Ctrl-C and the limits of time and memory end it even within third-party code.
     """
     signal.signal(signal.SIGINT, signal.SIG_DFL)
-    (module, _, function), folder = sys.argv[1].partition(":"), Path(sys.argv[2])
+    task, folder, seconds, memory = sys.argv[1:]
     if hasattr(signal, "alarm"):  # not on Windows
-        signal.alarm(int(float(sys.argv[3])) + 1)
+        signal.alarm(int(float(seconds)) + 1)
+    module, _, function = task.partition(":")
     run = getattr(import_module(module), function)
-    with np.load(folder / "given.npz", allow_pickle=False) as file:
-        given = {name: file[name] for name in file.files}
-    _limit_memory(int(sys.argv[4]))
-    arrays: dict[str, Any] = run(**given)
-    np.savez(folder / "made.npz", **arrays)
+    arrays = _load_arrays(folder, "input.npz")
+    _limit_memory(int(memory))
+    np.savez(Path(folder, "output.npz"), **run(**arrays))
 
 
 def _limit_memory(more: int) -> None:
-    """Limit the memory of this process to what it has now and `more` [bytes]; 0: no limit."""
+    """Let this process take `more` memory than it has now [bytes]; 0: no limit."""
     if more == 0:
         return
     with suppress(ImportError, ValueError, OSError):  # not on Windows and macOS
         import resource
 
         pages = int(Path("/proc/self/statm").read_text().split()[0])
-        most = pages * resource.getpagesize() + more
-        resource.setrlimit(resource.RLIMIT_AS, (most, most))
+        limit = pages * resource.getpagesize() + more
+        resource.setrlimit(resource.RLIMIT_AS, (limit, limit))

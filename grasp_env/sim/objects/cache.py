@@ -1,6 +1,4 @@
-"""Cache of processed meshes of objects and hands in the user's cache folder, keyed by content and
-safe between processes.
-"""
+"""Cache of processed meshes in the user's cache folder, keyed by content, for many processes."""
 
 from __future__ import annotations
 
@@ -16,27 +14,22 @@ import numpy as np
 from grasp_env.inputs.files import replacing, unpacked
 
 LONGEST_WAIT = 150.0  # longest wait for another process that makes the same entry [s]
-_NAME, _USE = "name", "use"  # keys of the name and the use among the arrays of an entry
 _ENTRIES = "[!.]*.npz"  # not the temporary files that other processes are writing
 
 try:
     import fcntl
-except (
-    ImportError
-):  # not on Windows: two processes may make the same entry, and the later one stays
+except ImportError:  # not on Windows: two processes may make the same entry, and the later stays
     fcntl = None
 
 
 class Entry(NamedTuple):
-    """An entry of the cache: its file, its mesh's name and use ("object" or "hand"), its size
-    [bytes] and its time of creation [s].
-    """
+    """An entry of the cache."""
 
     path: Path
-    name: str
-    use: str
-    size: int
-    time: float
+    name: str  # of the mesh
+    use: str  # "object" or "hand"
+    size: int  # [bytes]
+    time: float  # of creation [s]
 
 
 def folder() -> Path:
@@ -49,23 +42,22 @@ def folder() -> Path:
 def cached(
     key: str, name: str, make: Callable[[], dict[str, Any]], use: str = "object"
 ) -> dict[str, Any]:
-    """Return the arrays that `make` returns, from the cache if possible; otherwise make them and
-    keep them there.
+    """Return the arrays that `make` returns, from the cache if it has them.
 
     The key, of letters and digits, identifies the content. Name and use ("object" or "hand") of the
     mesh are for the list of entries. A folder that cannot be written or an entry that cannot be
     read only costs time.
     """
-    if found := lookup(key):
-        return found
+    if arrays := lookup(key):
+        return arrays
     path = folder() / f"{key}.npz"
     with _locked(path):
-        if found := lookup(key):  # made by the process that was waited for
-            return found
-        made = make()
+        if arrays := lookup(key):  # made by the process that was waited for
+            return arrays
+        arrays = make()
         with suppress(OSError), replacing(path) as temporary, open(temporary, "wb") as file:
-            np.savez(file, **{**made, _NAME: np.array(name), _USE: np.array(use)})
-    return made
+            np.savez(file, **{**arrays, "name": np.array(name), "use": np.array(use)})
+    return arrays
 
 
 def entries() -> list[Entry]:
@@ -81,8 +73,8 @@ def entries() -> list[Entry]:
                 open(path, "rb") as file,
                 np.load(file, allow_pickle=False) as arrays,
             ):
-                name = str(arrays[_NAME])
-                use = str(arrays[_USE])
+                name = str(arrays["name"])
+                use = str(arrays["use"])
             out.append(Entry(path, name, use, status.st_size, status.st_mtime))
     return sorted(out, key=lambda entry: -entry.time)
 

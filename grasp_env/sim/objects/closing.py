@@ -1,6 +1,4 @@
-"""Repair of a mesh to a closed solid with faces counterclockwise from outside, and a list of the
-changes.
-"""
+"""Repair of a mesh to a closed solid with faces counterclockwise from outside."""
 
 from __future__ import annotations
 
@@ -31,8 +29,7 @@ _SAMPLED = 8  # corners of a part that are tested for being inside another part
 
 
 def close_mesh(corners: Array, faces: Any, name: str) -> tuple[Array, Any, list[str]]:
-    """Return a closed solid, corners (V, 3) and faces (F, 3), and descriptions of the repairs, none
-    if the mesh was closed.
+    """Return the corners (V, 3) and faces (F, 3) of a closed solid, and a list of the repairs.
 
     Coincident corners and faces are merged. Then, until the mesh is closed, trimesh orients faces
     alike, seams are welded, and trimesh fills holes. Manifold unites overlapping parts; a part
@@ -47,9 +44,9 @@ def close_mesh(corners: Array, faces: Any, name: str) -> tuple[Array, Any, list[
         changes.append(_WALLS)
     if open_edges(faces):
         corners, faces = _repaired(corners, faces, extent, changes)
-    if left := open_edges(faces):
+    if count := open_edges(faces):
         raise InvalidInputError(
-            f"{name} is not closed: {left} edges have a face on one side only, after holes were filled; mend it with `grasp object mend FILE` and look at the result, or export it as a solid"
+            f"{name} is not closed: {count} edges have a face on one side only, after holes were filled; repair it with `grasp object mend FILE` and look at the result, or export it as a solid"
         )
     return (*_solid(corners, faces, extent, name, changes), changes)
 
@@ -61,26 +58,22 @@ def _repaired(corners: Array, faces: Any, extent: float, changes: list[str]) -> 
     def turn(mesh: Any) -> str:
         before = mesh.faces.copy()
         trimesh.repair.fix_winding(mesh)
-        turned = int((mesh.faces != before).any(axis=1).sum())
-        return f"{turned} faces were turned" if turned else ""
+        count = int((mesh.faces != before).any(axis=1).sum())
+        return f"{count} faces were turned" if count else ""
 
     def weld_seams(mesh: Any) -> str:
-        points, again = weld(np.asarray(mesh.vertices), np.asarray(mesh.faces), _SEAM * extent)
-        gone = len(mesh.vertices) - len(points)
-        if gone:
-            mesh.vertices, mesh.faces = points, again
-        return (
-            f"{gone} corners were joined with others within {_SEAM:g} of its size" if gone else ""
-        )
+        points, triangles = weld(np.asarray(mesh.vertices), np.asarray(mesh.faces), _SEAM * extent)
+        count = len(mesh.vertices) - len(points)
+        if not count:
+            return ""
+        mesh.vertices, mesh.faces = points, triangles
+        return f"{count} corners were joined with others within {_SEAM:g} of its size"
 
     def fill(mesh: Any) -> str:
         before = len(mesh.faces)
         trimesh.repair.fill_holes(mesh, use_fan=True)
-        return (
-            f"holes were filled with {len(mesh.faces) - before} faces"
-            if len(mesh.faces) > before
-            else ""
-        )
+        count = len(mesh.faces) - before
+        return f"holes were filled with {count} faces" if count > 0 else ""
 
     mesh = trimesh.Trimesh(corners, faces, process=False)
     for repair in (turn, weld_seams, fill, turn):
@@ -92,34 +85,30 @@ def _repaired(corners: Array, faces: Any, extent: float, changes: list[str]) -> 
 
 
 def _without_walls(faces: Any) -> Any:
-    """Keep one of several faces on the same corners; none if they cancel, as walls between touching
-    parts do.
-    """
+    """Keep one of the faces on the same corners; none if they cancel, as walls between parts do."""
     first = faces.argmin(axis=1)[:, None]
     # start at the smallest index
     turned = np.take_along_axis(faces, (first + np.arange(3)) % 3, axis=1)
-    ahead = turned[:, 1] < turned[:, 2]
-    _, kept, number = np.unique(
-        np.sort(faces, axis=1), axis=0, return_index=True, return_inverse=True
-    )
-    number = number.reshape(-1)
-    surplus = np.bincount(number, np.where(ahead, 1.0, -1.0))
-    if len(kept) == len(faces):
+    sign = np.where(turned[:, 1] < turned[:, 2], 1.0, -1.0)
+    distinct, number = np.unique(np.sort(faces, axis=1), axis=0, return_inverse=True)
+    if len(distinct) == len(faces):
         return faces
-    right = np.full(len(kept), -1)
-    agrees = np.flatnonzero(np.where(ahead, 1.0, -1.0) * surplus[number] > 0.0)
-    right[number[agrees]] = agrees
-    return faces[np.sort(right[right >= 0])]
+    number = number.reshape(-1)
+    surplus = np.bincount(number, sign)
+    kept = np.full(len(distinct), -1)
+    agrees = np.flatnonzero(sign * surplus[number] > 0.0)
+    kept[number[agrees]] = agrees
+    return faces[np.sort(kept[kept >= 0])]
 
 
 def _solid(
     corners: Array, faces: Any, extent: float, name: str, changes: list[str]
 ) -> tuple[Array, Any]:
-    """Make one solid: turn parts outward, subtract cavities, and unite parts that overlap."""
+    """Make one solid: turn parts outward, subtract cavities, and unite overlapping parts."""
     parts = _parts(corners, faces)
     if len(parts) > _MAX_PARTS:
         raise InvalidInputError(
-            f"{name} has {len(parts)} parts that are not connected, allowed are up to {_MAX_PARTS}; delete the crumbs, or remesh it"
+            f"{name} has {len(parts)} parts that are not connected, allowed are up to {_MAX_PARTS}; delete the fragments, or remesh it"
         )
     volumes = [volume(corners, part) for part in parts]
     if sum(map(abs, volumes)) <= _MIN_VOLUME * extent**3:
@@ -131,50 +120,42 @@ def _solid(
         changes.append(_WALLS)
     parts = [parts[k] for k in solid]
     volumes = [volumes[k] for k in solid]
-    within = _nested(corners, parts, volumes)
+    outer = _outer_parts(corners, parts, volumes)
     # the outermost part is solid: if it is inside out, so is everything within it
-    outermost = [
-        min([number, *around], key=lambda k: len(within[k])) for number, around in enumerate(within)
-    ]
-    flips = [volumes[number] < 0.0 for number in outermost]
+    outermost = [min([k, *around], key=lambda n: len(outer[n])) for k, around in enumerate(outer)]
+    flips = [volumes[k] < 0.0 for k in outermost]
     if any(flips):
         changes.append("faces that pointed inward were turned")
     parts = [part[:, ::-1] if flip else part for part, flip in zip(parts, flips, strict=True)]
     if len(parts) == 1:
         return corners, parts[0]
-    return _united(corners, parts, [len(around) for around in within], changes)
+    return _united(corners, parts, [len(around) for around in outer], changes)
 
 
-def _nested(corners: Array, parts: list[Any], volumes: list[float]) -> list[list[int]]:
-    """Return for each part the indices of the parts that contain it, judged by a few of its
-    corners.
-    """
+def _outer_parts(corners: Array, parts: list[Any], volumes: list[float]) -> list[list[int]]:
+    """Return for each part the indices of those that contain it, judged by a few of its corners."""
     from grasp_env import core
 
-    out: list[list[int]] = [[] for _ in parts]
+    outer: list[list[int]] = [[] for _ in parts]
     if len(parts) == 1:
-        return out
-    used = [np.unique(part) for part in parts]
-    low = np.array([corners[each].min(axis=0) for each in used])
-    high = np.array([corners[each].max(axis=0) for each in used])
-    for outer, (part, size) in enumerate(zip(parts, volumes, strict=True)):
-        inner = np.flatnonzero(
-            (low > low[outer]).all(axis=1) & (high < high[outer]).all(axis=1)
-        ).tolist()
+        return outer
+    points = [corners[np.unique(part)] for part in parts]
+    low = np.array([cloud.min(axis=0) for cloud in points])
+    high = np.array([cloud.max(axis=0) for cloud in points])
+    for k, (part, size) in enumerate(zip(parts, volumes, strict=True)):
+        inner = np.flatnonzero((low > low[k]).all(axis=1) & (high < high[k]).all(axis=1)).tolist()
         if inner:
             outward = part if size > 0.0 else part[:, ::-1]
-            solid = core.Surface.mesh(corners, outward.astype(float), [corners[used[outer]]])
-            for k in inner:
-                tried = corners[used[k][:: max(1, len(used[k]) // _SAMPLED)]]
-                if all(solid.nearest(point)[2] < 0.0 for point in tried):
-                    out[k].append(outer)
-    return out
+            solid = core.Surface.mesh(corners, outward.astype(float), [points[k]])
+            for n in inner:
+                samples = points[n][:: max(1, len(points[n]) // _SAMPLED)]
+                if all(solid.nearest(point)[2] < 0.0 for point in samples):
+                    outer[n].append(k)
+    return outer
 
 
 def _parts(corners: Array, faces: Any) -> list[Any]:
-    """Return the faces of each part connected by edges; parts that are not closed by themselves are
-    merged.
-    """
+    """Return the faces of each part connected by edges; those of parts that are not closed as one."""
     ends = np.sort(sides_of(faces), axis=1)
     number = numbered(ends)[1]
     sides = np.bincount(number)
@@ -192,12 +173,10 @@ def _parts(corners: Array, faces: Any) -> list[Any]:
 
 
 def _pairs_around(corners: Array, faces: Any, around: Any, a: int, b: int) -> Any:
-    """Return the pairs (P, 2) of faces around the edge from corner a to b that have the solid
-    between them.
-    """
-    away = corners[b] - corners[a]
-    frame = np.linalg.svd(away[None])[2]
-    if frame[0] @ away < 0.0:
+    """Return the pairs (P, 2) of faces around the edge from a to b with the solid between them."""
+    edge = corners[b] - corners[a]
+    frame = np.linalg.svd(edge[None])[2]
+    if frame[0] @ edge < 0.0:
         frame = -frame
     rows, first = np.divmod(around, 3)
     across = (corners[faces[rows, (first + 2) % 3]] - corners[a]) @ frame[1:].T
@@ -223,31 +202,31 @@ def _pairs_around(corners: Array, faces: Any, around: Any, a: int, b: int) -> An
 def _united(
     corners: Array, parts: list[Any], depths: list[int], changes: list[str]
 ) -> tuple[Array, Any]:
-    """Add solid parts and subtract cavities, from outside inward; unchanged if Manifold rejects a
-    part.
+    """Add solid parts and subtract cavities, from outside inward.
+
+    The parts stay as they are if they do not overlap, or if Manifold rejects one.
     """
     import manifold3d
 
-    whole = np.concatenate(parts)
-    one = manifold3d.Manifold()
+    faces = np.concatenate(parts)
+    union = manifold3d.Manifold()
     for depth in sorted(set(depths)):
         for hollow, task in ((False, manifold3d.OpType.Add), (True, manifold3d.OpType.Subtract)):
-            solids = [one]
-            for part in (part for part, at in zip(parts, depths, strict=True) if at == depth):
-                if (volume(corners, part) < 0.0) == hollow:
+            solids = [union]
+            for part, part_depth in zip(parts, depths, strict=True):
+                if part_depth == depth and (volume(corners, part) < 0.0) == hollow:
                     points, numbers = weld(corners, part[:, ::-1] if hollow else part, 1e-300)
                     solids.append(
                         manifold3d.Manifold(manifold3d.Mesh64(points, numbers.astype(np.uint64)))
                     )
             if any(solid.status() != manifold3d.Error.NoError for solid in solids):
-                return corners, whole
+                return corners, faces
             if len(solids) > 1:
-                one = manifold3d.Manifold.batch_boolean(solids, task)
-    apart = volume(corners, whole)
-    if abs(one.volume() - apart) <= 1e-9 * abs(apart):
-        return corners, whole  # they do not overlap
-    made = one.to_mesh64()
+                union = manifold3d.Manifold.batch_boolean(solids, task)
+    total = volume(corners, faces)
+    if abs(union.volume() - total) <= 1e-9 * abs(total):
+        return corners, faces
+    mesh = union.to_mesh64()
     changes.append(f"its {len(parts)} parts overlap and were united")
-    return np.asarray(made.vert_properties, dtype=float)[:, :3], np.asarray(
-        made.tri_verts, dtype=np.int64
-    )
+    points = np.asarray(mesh.vert_properties, dtype=float)[:, :3]
+    return points, np.asarray(mesh.tri_verts, dtype=np.int64)

@@ -1,4 +1,4 @@
-"""Description of the object: shape, size, mass, inertia and friction, as one frozen record."""
+"""Description of the object: shape, size, mass, inertia and friction."""
 
 from __future__ import annotations
 
@@ -43,22 +43,21 @@ _MAX_MASS, _MAX_FRICTION = 1000.0, 10.0  # [kg], [1]; more is a mistake of units
 
 
 def _numbers(value: Any, name: str) -> tuple[float, ...]:
-    """Return a tuple of any number of numbers; () for None."""
-    given = np.atleast_1d(as_array(() if value is None else value, None, name))
-    return numbers(given, None, name) if given.size else ()
+    array = np.atleast_1d(as_array(() if value is None else value, None, name))
+    return numbers(array, None, name) if array.size else ()
 
 
 def _moments(value: Any, name: str) -> tuple[float, ...] | None:
     """Return principal moments of inertia that a rigid body can have; None for an empty value."""
     if not _numbers(value, name):
         return None
-    given = numbers(value, 3, name)
-    if min(given) <= 0.0 or max(given) > (1.0 + 1e-9) * (sum(given) - max(given)):
+    moments = numbers(value, 3, name)
+    if min(moments) <= 0.0 or max(moments) > (1.0 + 1e-9) * (sum(moments) - max(moments)):
         raise InvalidInputError(
-            f"{name}={given} must be above 0, and none above the sum of the other two: give the moments about x, y and z through the "
+            f"{name}={moments} must be above 0, and none above the sum of the other two: give the moments about x, y and z through the "
             "centre of mass"
         )
-    return given
+    return moments
 
 
 @dataclass(frozen=True)
@@ -67,8 +66,7 @@ class ObjectDescription(Settings):
 
     Raises:
         UnknownNameError: No such shape.
-        InvalidInputError: A size, mass, friction, inertia or file is not allowed; the message gives
-            the reason.
+        InvalidInputError: A size, mass, friction, inertia or file is not allowed.
 
     Example:
         >>> can = ObjectDescription("cylinder", (0.066, 0.115), mass=0.35)
@@ -128,19 +126,18 @@ class ObjectDescription(Settings):
         density: float | None = None,
         **settings: Any,
     ) -> ObjectDescription:
-        """Make the object in a mesh file, convex or not.
+        """Make an object from a mesh file, convex or not.
 
         Contact points, normals, mass and inertia are those of the mesh. It is also cut into convex
-        pieces, once for each content, which takes seconds and at most two minutes. Distances to
-        links are measured to the pieces. Engines use them for collisions, unless Bullet's
-        `mesh_contacts` is "faces". The pieces are kept in the user's cache folder; `grasp object
-        list` and `grasp object clear` show and empty it. A mesh that is not closed is repaired if
-        possible, with a warning that lists the changes. Other processes read the file again.
+        pieces, which takes seconds and at most two minutes. They serve for distances to links and
+        for collisions, unless Bullet's `mesh_contacts` is "faces". The user's cache folder keeps
+        them; `grasp object list` and `grasp object clear` show and empty it. A mesh that is not
+        closed is repaired if possible, with a warning that lists the changes.
 
         Args:
             path: Path of an .obj, .stl, .ply, .off, .glb or .dae of up to 200,000 faces.
             scale: Factor from its coordinates to metres, 0.001 for a file in millimetres.
-            density: Density [kg/m^3] that gives the mass; None to use `mass` or its default.
+            density: Density [kg/m^3]; None to use `mass` or its default.
             settings: Other fields, such as `friction`.
 
         Raises:
@@ -155,21 +152,17 @@ class ObjectDescription(Settings):
             >>> round(box.mass, 6), [round(side, 6) for side in box.extent]
             (0.048, [0.06, 0.04, 0.02])
         """
-        times = real(POSITIVE).take(scale, "scale")
-        given = {
-            "shape": "mesh",
-            "mesh": str(as_path(path, InvalidInputError, "path")),
-            "size": (times,),
-            **settings,
-        }
+        factor = real(POSITIVE).take(scale, "scale")
+        file = str(as_path(path, InvalidInputError, "path"))
+        settings = {"shape": "mesh", "mesh": file, "size": (factor,), **settings}
         if density is not None:
             if "mass" in settings:
                 raise InvalidInputError(
                     "give mass or density, not both: each follows from the other"
                 )
-            mesh = load_mesh(given["mesh"], times, tell=False)
-            given["mass"] = real(POSITIVE).take(density, "density") * mesh.volume
-        return cls(**given)
+            volume = load_mesh(settings["mesh"], factor, tell=False).volume
+            settings["mass"] = real(POSITIVE).take(density, "density") * volume
+        return cls(**settings)
 
     def agree(self) -> None:
         """Check that shape, size and mesh agree."""
@@ -188,17 +181,14 @@ class ObjectDescription(Settings):
                 f"{placed('size')}={self.size} of a capsule: its total length must be at least its diameter; "
                 "exchange them or use a cylinder"
             )
-        scale = (
-            "; give the scale of the file in size=(0.001,) if it is in millimetres"
-            if self.mesh
-            else ""
-        )
-        check_extent(self.extent, self.shape, f"sizes are in metres{scale}", "sizes are in metres")
+        hint = "sizes are in metres"
+        scale = "; give the scale of the file in size=(0.001,) if it is in millimetres"
+        check_extent(self.extent, self.shape, hint + scale if self.mesh else hint, hint)
 
     def replaced(self, changes: Mapping[str, Any], path: str = "") -> ObjectDescription:
         """Return a copy with some settings replaced.
 
-        Another shape gets its default size and no mesh, unless they are among them.
+        Another shape gets its default size and no mesh, unless `changes` contains them.
 
         Args:
             changes: Settings by name.
@@ -234,19 +224,17 @@ class ObjectDescription(Settings):
     @cached_property
     def moments(self) -> tuple[float, float, float]:
         """Moments of inertia about the body axes, which are principal axes [kg m^2]."""
-        gyration = (
-            _solid_gyration(self.shape, self.size) if self._mesh is None else self._mesh.gyration
-        )
-        x, y, z = (
-            np.multiply(self.mass, gyration).tolist() if self.inertia is None else self.inertia
-        )
+        if self.inertia is not None:
+            x, y, z = self.inertia
+        elif self._mesh is not None:
+            x, y, z = (self.mass * self._mesh.gyration).tolist()
+        else:
+            x, y, z = (self.mass * radius for radius in _solid_gyration(self.shape, self.size))
         return x, y, z
 
     @cached_property
     def inertia_matrix(self) -> Array:
-        """Inertia about the centre of mass [kg m^2], (3, 3), body axes; that of the uniform solid
-        unless `inertia` is given.
-        """
+        """Inertia about the centre of mass [kg m^2], (3, 3), body axes."""
         return np.diag(self.moments)
 
     @cached_property
@@ -264,9 +252,7 @@ class ObjectDescription(Settings):
 
     @property
     def pieces(self) -> tuple[Array, ...]:
-        """Corners (K, 3) [m] of convex pieces that together cover a mesh, body frame; raises as
-        `faces`.
-        """
+        """Corners (K, 3) [m] of convex pieces that cover a mesh, body frame; raises as `faces`."""
         return self._required_mesh.pieces
 
     @property
@@ -276,7 +262,7 @@ class ObjectDescription(Settings):
         return self._mesh
 
     def __getstate__(self) -> dict[str, object]:
-        """Return the state without surface and mesh, which are made anew."""
+        """Return the state without surface and mesh, which a copy makes anew."""
         return {
             name: value for name, value in self.__dict__.items() if name not in ("surface", "_mesh")
         }
@@ -305,7 +291,7 @@ def _solid_gyration(shape: str, size: tuple[float, ...]) -> tuple[float, float, 
         across = 0.25 * square + length * length / 12.0
         return across, 0.5 * square, across
     straight = length - 2.0 * radius
-    ends = 4.0 / 3.0 * radius / (straight + 4.0 / 3.0 * radius)  # share of the ends in the volume
+    ends = 4.0 / 3.0 * radius / (straight + 4.0 / 3.0 * radius)  # share of the volume
     rod = 1.0 - ends
     along = rod * 0.5 * square + ends * 0.4 * square
     # a half ball's centre of mass is 3/8 of its radius from its flat side

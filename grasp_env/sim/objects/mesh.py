@@ -1,6 +1,4 @@
-"""Solids from mesh files in metres, with their centre of mass as origin and their principal axes as
-axes.
-"""
+"""Solids from mesh files [m], with origin and axes at the centre of mass and principal axes."""
 
 from __future__ import annotations
 
@@ -18,15 +16,13 @@ from grasp_env.sim.mesh_files import KINDS
 from grasp_env.sim.objects.cache import cached
 from grasp_env.sim.objects.reading import open_mesh, read_mesh
 
-_VERSION = (
-    "6"  # version of the processed arrays, part of the cache's key: increase it when they change
-)
+_VERSION = "6"  # part of the cache's key: increase it when the processed arrays change
 # relative difference of moments, or product of inertia, below which axes are not distinguished
 _SAME_MOMENT = 1e-6
 
 
 class Mesh(NamedTuple):
-    """A closed mesh, body frame, not to be written to."""
+    """A closed mesh, body frame; its arrays are read-only."""
 
     vertices: Array  # corners [m], (V, 3)
     faces: Any  # indices of their corners, counterclockwise from outside, (F, 3) int64
@@ -42,10 +38,8 @@ class Mesh(NamedTuple):
 def load_mesh(path: str, scale: float, tell: bool = True) -> Mesh:
     """Read and process a mesh file; `scale` is the factor to metres.
 
-    Unless `tell` is False, a warning tells of repairs.
-
-    Results are kept in the user's cache folder, and the last few in memory until their files
-    change.
+    If `tell`, a warning lists repairs. Results are kept in the user's cache folder, and the last
+    few in memory until their files change.
     """
     if not isinstance(path, str | os.PathLike) or os.path.splitext(path)[1].lower() not in KINDS:
         raise InvalidInputError(
@@ -61,42 +55,38 @@ def load_mesh(path: str, scale: float, tell: bool = True) -> Mesh:
     name = f"mesh={path!r}"
     mesh = _load(os.path.abspath(path), scale, status.st_mtime_ns, status.st_size, name)
     if mesh.changes and tell:
-        changes = "; ".join(mesh.changes)
         warn(
-            f"{name} was repaired: {changes}. `grasp object show FILE --draw PICTURE` shows the result"
+            f"{name} was repaired: {'; '.join(mesh.changes)}. `grasp object show FILE --draw PICTURE` shows the result"
         )
     return mesh
 
 
 @lru_cache(maxsize=16)
 def _load(path: str, scale: float, _changed: int, _bytes: int, name: str) -> Mesh:
-    """Read and process a mesh; `_changed` and `_bytes` make the in-memory cache notice a changed
-    file.
-    """
+    """Read and process a mesh; `_changed` and `_bytes` make `lru_cache` notice a changed file."""
     file = open_mesh(path, name)
     key = digest(_VERSION.encode(), file.kind.encode(), file.content)
-    made = cached(key, os.path.basename(path), lambda: _processed(*read_mesh(file), name))
-    ends = np.cumsum(made["counts"])[:-1]
-    vertices = np.ascontiguousarray(scale * made["vertices"])
-    pieces = scale * made["pieces"]
-    for array in (vertices, made["faces"], pieces):  # shared by all objects of this file
+    arrays = cached(key, os.path.basename(path), lambda: _processed(*read_mesh(file), name))
+    vertices = np.ascontiguousarray(scale * arrays["vertices"])
+    pieces = scale * arrays["pieces"]
+    for array in (vertices, arrays["faces"], pieces):  # shared by all objects of this file
         array.setflags(write=False)
     x, y, z = np.ptp(vertices, axis=0).tolist()
     return Mesh(
         vertices,
-        made["faces"],
-        tuple(np.split(pieces, ends)),
-        scale**2 * made["gyration"],
-        made["rotation"],
-        scale * made["center"],
-        scale**3 * float(made["volume"]),
+        arrays["faces"],
+        tuple(np.split(pieces, np.cumsum(arrays["counts"])[:-1])),
+        scale**2 * arrays["gyration"],
+        arrays["rotation"],
+        scale * arrays["center"],
+        scale**3 * float(arrays["volume"]),
         (x, y, z),
-        tuple(made["changes"].tolist()),
+        tuple(arrays["changes"].tolist()),
     )
 
 
 def _processed(corners: Array, faces: Any, name: str) -> dict[str, Any]:
-    """Close, measure and cut a mesh: everything that takes time, in the file's units."""
+    """Close, measure and cut a mesh, in the file's units."""
     from grasp_env.sim.objects.closing import close_mesh
     from grasp_env.sim.objects.pieces import convex_pieces
 
@@ -105,7 +95,7 @@ def _processed(corners: Array, faces: Any, name: str) -> dict[str, Any]:
     x, y, z = np.sort(body["gyration"]).tolist()
     if not (x > 0.0 and z < (x + y) * (1.0 + 1e-9)):
         raise InvalidInputError(
-            f"{name} has impossible moments of inertia, as its faces cross; mend it with `grasp object mend FILE`, or remesh it"
+            f"{name} has impossible moments of inertia, as its faces cross; repair it with `grasp object mend FILE`, or remesh it"
         )
     pieces = convex_pieces(body["vertices"], faces, name)
     return {
@@ -124,24 +114,25 @@ def _centred(corners: Array, faces: Any) -> dict[str, Any]:
     # of the tetrahedra between origin and faces
     volumes = np.einsum("fk,fk->f", a, np.cross(b, c)) / 6.0
     volume = volumes.sum()
-    center = ((a + b + c) * volumes[:, None]).sum(axis=0) / (4.0 * volume)
     total = a + b + c
-    seconds = sum(np.einsum("f,fi,fj->ij", volumes, part, part) for part in (a, b, c, total)) / (
-        20.0 * volume
-    )
-    seconds = seconds - np.outer(center, center)
-    inertia = np.trace(seconds) * np.eye(3) - seconds
+    center = (total * volumes[:, None]).sum(axis=0) / (4.0 * volume)
+    second = sum(np.einsum("f,fi,fj->ij", volumes, p, p) for p in (a, b, c, total))
+    second = second / (20.0 * volume) - np.outer(center, center)
+    inertia = np.trace(second) * np.eye(3) - second
     rotation = principal_rotation(inertia)
-    body = {"rotation": rotation, "center": center + shift, "volume": volume}
-    gyration = np.diag(rotation @ inertia @ rotation.T).copy()
-    return {**body, "vertices": (corners - shift - center) @ rotation.T, "gyration": gyration}
+    return {
+        "rotation": rotation,
+        "center": center + shift,
+        "volume": volume,
+        "vertices": (corners - shift - center) @ rotation.T,
+        "gyration": np.diag(rotation @ inertia @ rotation.T).copy(),
+    }
 
 
 def principal_rotation(inertia: Array) -> Array:
     """Return the smallest rotation (3, 3) to principal axes of `inertia` (3, 3).
 
-    If moments are equal, as those of a cube, the axes are not unique; the nearest to the present
-    ones are taken.
+    Axes of equal moments, such as those of a cube, are not unique; the nearest ones are taken.
 
     Example:
         >>> principal_rotation(np.diag([1.0, 1.0, 2.0]))
@@ -154,20 +145,20 @@ def principal_rotation(inertia: Array) -> Array:
         return np.eye(3)
     moments, axes = np.linalg.eigh(inertia)
     best = np.eye(3)
-    angle = np.inf
+    least = np.inf
     for order in permutations(range(3)):
         for x, y in ((1.0, 1.0), (-1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)):
             rows = axes[:, order].T * np.array([[x], [y], [1.0]])
             rows[2] *= np.linalg.det(rows)
             turned = _aligned(rows, moments[list(order)], _SAME_MOMENT * size)
-            found = float(np.arccos(np.clip(0.5 * (np.trace(turned) - 1.0), -1.0, 1.0)))
-            if found < angle - 1e-9:
-                best, angle = turned, found
+            angle = float(np.arccos(np.clip(0.5 * (np.trace(turned) - 1.0), -1.0, 1.0)))
+            if angle < least - 1e-9:
+                best, least = turned, angle
     return best
 
 
 def _aligned(rows: Array, moments: Array, close: float) -> Array:
-    """Turn axes with equal moments within their plane until they are nearest to x, y and z."""
+    """Turn axes with equal moments within their plane, as near to x, y and z as possible."""
     for i, j in ((0, 1), (0, 2), (1, 2)):
         if abs(moments[i] - moments[j]) <= close:
             # the turn of rows i and j that maximises the trace

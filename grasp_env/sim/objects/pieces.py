@@ -14,27 +14,22 @@ from grasp_env.sim.objects.apart import apart
 
 CONVEX = 1e-3  # share of its hull's volume that a mesh may lack and still count as convex
 CONCAVITY = 0.03
-"""Largest concavity of a piece as CoACD defines it: about the distance it may protrude from the
-mesh, over half the mesh's size."""
+"""Largest concavity of a piece in CoACD: about how far it may protrude, over half the mesh's size."""
 MAX_PIECES = 32  # of a connected mesh
 MAX_CORNERS = 256  # of a piece: the faces of a ball of 66 mm are then within 0.7 mm
 FINE = 2e-4  # distance by which omitted corners may stand out of a piece, relative to its size
 LONGEST = 60.0  # longest time to cut a mesh [s]; 1 to 12 s are usual
 _MAX_CUT_FACES = 5000  # faces, above which a mesh is simplified before it is cut
+# a third of CoACD's default search; preprocessing would add a shell of a hundredth of the size
 _SEARCH = {"mcts_iterations": 60, "mcts_max_depth": 2, "resolution": 1000, "preprocess_mode": "off"}
-"""A third of CoACD's default search.
-
-Its preprocessing is off, as it adds a shell of a hundredth of the mesh's size.
-"""
 
 
 def convex_pieces(corners: Array, faces: Any, name: str) -> list[Array]:
     """Cut a mesh into convex pieces with corners (K, 3); a convex mesh is one piece.
 
-    CoACD (Wei et al. 2022) cuts it, or V-HACD if that fails.
-
-    The pieces contain all corners of the mesh, except for what `MAX_CORNERS` leaves out. In hollows
-    they protrude from the mesh by a few hundredths of its size.
+    CoACD (Wei et al. 2022) cuts it, or V-HACD if that fails. The pieces contain all corners of the
+    mesh, except for what `MAX_CORNERS` leaves out. In hollows they protrude from the mesh by a few
+    hundredths of its size.
     """
     from scipy.spatial import ConvexHull
 
@@ -46,31 +41,29 @@ def convex_pieces(corners: Array, faces: Any, name: str) -> list[Array]:
     for task in ("by_coacd", "by_vhacd"):
         try:
             text = f"{name}: cutting it into convex pieces, once for this content"
-            made = apart(f"{__name__}:{task}", text, LONGEST, corners=coarse[0], faces=coarse[1])
+            cut = apart(f"{__name__}:{task}", text, LONGEST, corners=coarse[0], faces=coarse[1])
         except (TimeoutError, ChildProcessError) as error:
             # CoACD crashes or never ends if faces cross, and is not available on every machine
             reason = str(error).strip().rsplit("\n", 1)[-1]
             continue
-        found = _covering(
-            np.split(made["points"], np.cumsum(made["counts"].astype(int))[:-1]), corners
-        )
-        if found:
-            return found
+        ends = np.cumsum(cut["counts"].astype(int))[:-1]
+        if pieces := _covering(np.split(cut["points"], ends), corners):
+            return pieces
     raise InvalidInputError(
-        f"{name} cannot be cut into convex pieces ({reason or 'none was found'}). Where its faces cross, mend it with "
+        f"{name} cannot be cut into convex pieces ({reason or 'none was found'}). Where its faces cross, repair it with "
         "`grasp object mend FILE`, or remesh it"
     )
 
 
 def by_coacd(corners: Array, faces: Any) -> dict[str, Array]:
-    """Cut a mesh by CoACD: points (P, 3) of all pieces, and counts (N,) of the points of each."""
+    """Cut a mesh by CoACD; return "points" (P, 3) of all pieces, and "counts" (N,) for each piece."""
     import coacd
 
     coacd.set_log_level("error")
-    found = coacd.run_coacd(
-        coacd.Mesh(corners, faces), threshold=CONCAVITY, max_convex_hull=MAX_PIECES, **_SEARCH
+    mesh = coacd.Mesh(corners, faces)
+    return _packed(
+        coacd.run_coacd(mesh, threshold=CONCAVITY, max_convex_hull=MAX_PIECES, **_SEARCH)
     )
-    return _packed(found)
 
 
 def by_vhacd(corners: Array, faces: Any) -> dict[str, Array]:
@@ -81,11 +74,11 @@ def by_vhacd(corners: Array, faces: Any) -> dict[str, Array]:
     return _packed(vhacdx.compute_vhacd(corners, faces.astype(np.uint32), **options))
 
 
-def _packed(found: list[Any]) -> dict[str, Array]:
-    pieces = [np.empty((0, 3)), *(np.asarray(points, dtype=float) for points, _ in found)]
+def _packed(meshes: list[Any]) -> dict[str, Array]:
+    pieces = [np.asarray(points, dtype=float) for points, _ in meshes]
     return {
-        "points": np.concatenate(pieces),
-        "counts": np.array([len(each) for each in pieces[1:]], dtype=int),
+        "points": np.concatenate([np.empty((0, 3)), *pieces]),
+        "counts": np.array([len(piece) for piece in pieces], dtype=int),
     }
 
 
@@ -104,9 +97,7 @@ def _simplified(corners: Array, faces: Any) -> tuple[Array, Any]:
 
 
 def _covering(pieces: list[Array], corners: Array) -> list[Array]:
-    """Grow the pieces until they contain all corners of the mesh, each by those that are nearest to
-    it.
-    """
+    """Grow each piece by the mesh's corners nearest to it, until the pieces contain all of them."""
     from scipy.spatial import ConvexHull, QhullError
 
     hulls: list[Any] = []
@@ -120,9 +111,9 @@ def _covering(pieces: list[Array], corners: Array) -> list[Array]:
     )
     nearest = heights.argmin(axis=0)
     outside = heights.min(axis=0) > 0.0
-    added = [corners[outside & (nearest == number)] for number in range(len(hulls))]
-    grown = [
-        ConvexHull(np.vstack([hull.points[hull.vertices], more]))
-        for hull, more in zip(hulls, added, strict=True)
-    ]
-    return [reduce_hull(hull.points[hull.vertices], MAX_CORNERS, FINE) for hull in grown]
+    grown: list[Array] = []
+    for number, hull in enumerate(hulls):
+        added = corners[outside & (nearest == number)]
+        hull = ConvexHull(np.vstack([hull.points[hull.vertices], added]))
+        grown.append(reduce_hull(hull.points[hull.vertices], MAX_CORNERS, FINE))
+    return grown

@@ -1,6 +1,4 @@
-"""Reading of mesh files by trimesh, in a process of its own: no file makes the user's process hang,
-grow or crash.
-"""
+"""Reading of mesh files by trimesh in another process, as some make it hang, grow or crash."""
 
 from __future__ import annotations
 
@@ -32,8 +30,10 @@ class MeshFile(NamedTuple):
 
 
 def open_mesh(path: str | os.PathLike[str], name: str) -> MeshFile:
-    """Return the bytes of a mesh file, or raise an InvalidInputError: it has another kind, is
-    missing, empty or too large.
+    """Read the bytes of a mesh file.
+
+    Raises:
+        InvalidInputError: The file is missing, empty, too large or of another kind.
     """
     kind = Path(path).suffix.lower()
     if kind not in KINDS:
@@ -54,52 +54,50 @@ def open_mesh(path: str | os.PathLike[str], name: str) -> MeshFile:
 
 
 def read_mesh(file: MeshFile) -> tuple[Array, Any]:
-    """Return the corners (V, 3) float64 of the faces of a mesh file, in its units, and the faces
-    (F, 3) int64, or raise an InvalidInputError.
+    """Return the used corners (V, 3) float64 of a mesh file, in its units, and faces (F, 3) int64.
+
+    Raises:
+        InvalidInputError: The file cannot be read.
     """
-    (found,) = read_meshes([file])
-    if isinstance(found, InvalidInputError):
-        raise found
-    return found
+    (mesh,) = read_meshes([file])
+    if isinstance(mesh, InvalidInputError):
+        raise mesh
+    return mesh
 
 
 def read_meshes(files: Sequence[MeshFile]) -> list[tuple[Array, Any] | InvalidInputError]:
-    """Return what `read_mesh` returns or raises for each of several files, which one process reads."""
+    """Read several files in one process; return the result or error of `read_mesh` for each."""
     if not files:
         return []
     need("sim")
-    kinds = np.array([file.kind for file in files])
     contents: dict[str, Any] = {
         f"file{number}": np.frombuffer(file.content, np.uint8) for number, file in enumerate(files)
     }
-    text = f"reading {files[0].name if len(files) == 1 else f'{len(files)} mesh files'}, once for this content"
-    variables = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}  # each thread would take memory
-    seconds = SECONDS + len(files) - 1
+    name = files[0].name if len(files) == 1 else f"{len(files)} mesh files"
     try:
-        made = apart(
+        arrays = apart(
             "grasp_env.sim.mesh_files:read_files",
-            text,
-            seconds,
+            f"reading {name}, once for this content",
+            SECONDS + len(files) - 1,
             memory=MAX_MEMORY,
-            variables=variables,
-            kinds=kinds,
+            # each thread would take memory
+            variables={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+            kinds=np.array([file.kind for file in files]),
             **contents,
         )
     except (TimeoutError, ChildProcessError) as error:
         if len(files) > 1:  # one of them is at fault
-            return [found for file in files for found in read_meshes([file])]
-        return [InvalidInputError(f"{files[0].name} {_why_ended(error, files[0].kind)}")]
-    return [_found(made, number, file.name) for number, file in enumerate(files)]
-
-
-def _found(made: dict[str, Any], number: int, name: str) -> tuple[Array, Any] | InvalidInputError:
-    if f"fault{number}" in made:
-        return InvalidInputError(f"{name} {made[f'fault{number}']}")
-    return made[f"corners{number}"], made[f"faces{number}"]
+            return [mesh for file in files for mesh in read_meshes([file])]
+        return [InvalidInputError(f"{name} {_why_ended(error, files[0].kind)}")]
+    return [
+        InvalidInputError(f"{file.name} {arrays[f'fault{number}']}")
+        if f"fault{number}" in arrays
+        else (arrays[f"corners{number}"], arrays[f"faces{number}"])
+        for number, file in enumerate(files)
+    ]
 
 
 def _why_ended(error: TimeoutError | ChildProcessError, kind: str) -> str:
-    """Return what happened to a file whose reading had to end, or ended by itself."""
     if isinstance(error, TimeoutError):
         return f"took more than {SECONDS:.0f} s to be read as {kind}; {SIMPLIFY}"
     last = str(error).strip().rsplit("\n", 1)[-1]
