@@ -1,4 +1,4 @@
-"""PyBullet as a `Simulator`: its bodies, their parameters and its conventions."""
+"""PyBullet as a `Simulator`."""
 
 from __future__ import annotations
 
@@ -29,18 +29,16 @@ HAND_FLAGS: int = (
     | bullet.URDF_USE_SELF_COLLISION
     | bullet.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT  # neighbours overlap around their joint
 )
+# fewest and most solver sweeps for coupled joints: with 20, links of 20 g yielded by 0.02 rad under
+# 0.5 N m, with 100 by 1e-9
 COUPLED_SWEEPS, MAX_SWEEPS = 100, 1000
-"""Fewest and most solver sweeps for coupled joints: with 20, links of 20 g yielded by 0.02 rad
-under 0.5 N m, with 100 by 1e-9."""
+# fewest solver sweeps if a finger has more than three joints: with 20, the fingers of LEAP crept
+# along objects by up to 3 mm in 4 s
 LONG_SWEEPS = 40
-"""Fewest solver sweeps if a finger has more than three joints: with 20, the fingers of LEAP crept
-along objects by up to 3 mm in 4 s."""
+# fewest solver sweeps if a finger has fewer than three motors and squeezes the object through its
+# structure: iCub held a cube in 0 of 10 trials with 40 sweeps and in 10 with 400, the Ability hand
+# a ball in 3 with 400 and in 10 with 800
 STRUCTURE_SWEEPS = 800
-"""Fewest solver sweeps if a finger has fewer than three motors.
-
-Such fingers squeeze the object through their structure, where the solver
-converges slowly: iCub held a cube in 0 of 10 trials with 40 sweeps and in 10 with 400, the Ability
-hand a ball in 3 with 400 and in 10 with 800."""
 
 
 class Bullet(Simulator):
@@ -49,7 +47,7 @@ class Bullet(Simulator):
 
     Attributes:
         client: The connection.
-        world: The server's numbers of hand, object and joints; each `load` makes another tuple.
+        world: Numbers of hand, object and joints in the server; each `load` makes another tuple.
     """
 
     def __init__(self, hand: HandDescription, gui: bool = False, visuals: bool = False) -> None:
@@ -67,9 +65,8 @@ class Bullet(Simulator):
         links = [-1] * (bullet.getNumJoints(self.world.hand, physicsClientId=client) + 1)
         for link, index in enumerate(self.world.joints):
             links[index + 1] = link  # the palm is -1
-        # normal and both friction forces that Bullet reports act on the hand, as it was loaded
-        # before the object; the mean over the steps
         self._links = links
+        # Bullet reports forces on the hand, as it was loaded first; the factor makes their mean
         self._answers = core.Answers(
             link=3,
             place=6,
@@ -78,10 +75,11 @@ class Bullet(Simulator):
             first=-1,
             links=links,
         )
-        self._kept: dict[str, tuple[int, Any]] = {}  # earlier ones went when the server was emptied
-        # `_recorded`: contacts of all steps of the last `advance`, or those saved with a state;
-        # None if the server still has them
-        self._steps, self._recorded = config.substeps, None
+        self._kept: dict[str, tuple[int, Any]] = {}  # resetting the server removed earlier ones
+        self._steps = config.substeps
+        # contacts of all steps of the last `advance`, or those saved with a state; None if the
+        # server still has them
+        self._recorded = None
 
     def advance(self, torques: list[float], wrench: list[float] | None) -> None:
         """See `Simulator`."""
@@ -120,10 +118,9 @@ class Bullet(Simulator):
     def self_contacts(self) -> list[tuple[int, int]]:
         """See `Simulator`."""
         hand, client = self.world.hand, self.client.number
-        found = bullet.getContactPoints(hand, hand, physicsClientId=client) or ()
         pairs = {
             tuple(sorted((self._links[row[3] + 1], self._links[row[4] + 1])))
-            for row in found
+            for row in bullet.getContactPoints(hand, hand, physicsClientId=client) or ()
             if row[9] > 0.0
         }
         return sorted((first, second) for first, second in pairs)
@@ -139,10 +136,9 @@ class Bullet(Simulator):
     def keep(self, name: str) -> None:
         """See `Simulator`. It takes 1 ms, and each state 97 kB."""
         client = self.client.number
-        contacts = self._contacts()
         if name in self._kept:
             bullet.removeState(self._kept[name][0], physicsClientId=client)
-        self._kept[name] = bullet.saveState(physicsClientId=client), contacts
+        self._kept[name] = bullet.saveState(physicsClientId=client), self._contacts()
         self.reset(name)
 
     def reset(self, name: str) -> None:
@@ -153,8 +149,8 @@ class Bullet(Simulator):
         state, self._recorded = self._kept[name]
         bullet.restoreState(stateId=state, physicsClientId=client)
         # Bullet restores the contacts of two links to the first pair of their shapes, which may be
-        # the wrong pair. New collision proxies make the next step find the contacts anew, and its
-        # solver starts without impulses anyway. Until then the saved ones are read
+        # wrong. New collision proxies make the next step find them anew; until then the saved
+        # contacts are read
         bullet.setCollisionFilterPair(world.hand, world.object, -1, -1, 1, physicsClientId=client)
 
     def close(self) -> None:
@@ -164,9 +160,7 @@ class Bullet(Simulator):
 
 
 class World(NamedTuple):
-    """Body numbers of hand and object in a PyBullet server, and the hand's joint numbers in the
-    order of its description.
-    """
+    """Numbers of hand and object in a PyBullet server, and of joints in the hand's order."""
 
     hand: int
     object: int
@@ -174,10 +168,10 @@ class World(NamedTuple):
 
 
 def build_world(client: int, config: SceneConfig, urdf: str, angles: np.ndarray) -> World:
-    """Clear the server, then load the hand and the object: 3 ms, or 17 ms if the URDF has visual
-    shapes.
+    """Clear the server, then load the hand and the object.
 
-    The signs of the friction forces that Bullet reports depend on this order.
+    It takes 3 ms, or 17 ms with visual shapes. The signs of the forces that Bullet reports depend
+    on the order.
     """
     # also resets gravity and the solver's parameters
     bullet.resetSimulation(physicsClientId=client)
@@ -199,8 +193,8 @@ def build_world(client: int, config: SceneConfig, urdf: str, angles: np.ndarray)
     for link in range(-1, bullet.getNumJoints(hand, physicsClientId=client)):
         bullet.changeDynamics(hand, link, physicsClientId=client, **plain)
     for joint in joints:
-        # by default Bullet clips joint speeds to 100 rad/s before it solves contacts: at 250 Hz a
-        # light link then passes on 8 of 12 N m
+        # by default Bullet clips joint speeds to 100 rad/s before it solves contacts, so that at 250
+        # Hz a light link passes on only 8 of 12 N m
         bullet.changeDynamics(hand, joint, maxJointVelocity=1e5, physicsClientId=client)
     for joint, angle in zip(joints, angles.tolist(), strict=True):
         bullet.resetJointState(hand, joint, angle, 0.0, physicsClientId=client)
@@ -216,9 +210,7 @@ def build_world(client: int, config: SceneConfig, urdf: str, angles: np.ndarray)
 
 
 def min_sweeps(hand: HandDescription) -> int:
-    """Return the fewest solver sweeps that a hand's fingers need, by their joints and motors;
-    `couple` may raise the number.
-    """
+    """Return the solver sweeps that a hand's fingers need; `couple` may raise the number."""
     numbers = {link.name: index for index, link in enumerate(hand.links)}
     least = 0
     for tip in hand.fingertips:
@@ -228,18 +220,17 @@ def min_sweeps(hand: HandDescription) -> int:
         while link in numbers:
             index = numbers[link]
             link = hand.links[index].parent
-            joints = joints + 1
+            joints += 1
             motors.add(hand.drivers[index])
-        least = max(
-            least, LONG_SWEEPS if joints > 3 else 0, STRUCTURE_SWEEPS if len(motors) < 3 else 0
-        )
+        if joints > 3:
+            least = max(least, LONG_SWEEPS)
+        if len(motors) < 3:
+            least = max(least, STRUCTURE_SWEEPS)
     return least
 
 
 def couple(client: int, body: int, joints: Sequence[int], hand: HandDescription) -> None:
-    """Couple joints to their drivers with gear constraints, through which the solver passes their
-    load to the drivers.
-    """
+    """Couple joints to their drivers with gear constraints, which pass their load to the drivers."""
     coupled = {index: link.mimic for index, link in enumerate(hand.links) if link.mimic is not None}
     if not coupled:
         return
@@ -276,8 +267,7 @@ def _gear_sweeps(
     hand: HandDescription,
     coupled: Mapping[int, Mimic],
 ) -> int:
-    """Return the solver sweeps that reduce the error of the couplings to a millionth in the current
-    posture.
+    """Return the solver sweeps that reduce the couplings' error to a millionth in this posture.
 
     The solver treats one gear after another, as if its two joints did not move each other. It
     therefore overshoots: by nearly the whole error if a light link carries a heavy one.
@@ -288,24 +278,24 @@ def _gear_sweeps(
         bullet.calculateMassMatrix(body, [angles[joint] for joint in order], physicsClientId=client)
     )
     mobility = np.linalg.inv(masses)
-    place = {int(joint): row for row, joint in enumerate(order)}
-    rows = np.zeros((len(coupled), len(joints)))
-    believed = np.zeros(len(coupled))
+    rows = {int(joint): row for row, joint in enumerate(order)}
+    gears = np.zeros((len(coupled), len(joints)))
+    assumed = np.zeros(len(coupled))  # mobilities in the solver
     for number, (index, mimic) in enumerate(coupled.items()):
-        driver = place[hand.drivers[index]]
-        follower = place[index]
-        rows[number, [driver, follower]] = 1.0, -1.0 / mimic.ratio
-        believed[number] = mobility[driver, driver] + mobility[follower, follower] / mimic.ratio**2
-    coupling = rows @ mobility @ rows.T
-    left = np.eye(len(coupled))
+        driver = rows[hand.drivers[index]]
+        follower = rows[index]
+        gears[number, [driver, follower]] = 1.0, -1.0 / mimic.ratio
+        assumed[number] = mobility[driver, driver] + mobility[follower, follower] / mimic.ratio**2
+    coupling = gears @ mobility @ gears.T
+    error = np.eye(len(coupled))
     for number in range(len(coupled)):
-        left[number] -= coupling[number] @ left / believed[number]
-    slowest = min(float(np.abs(np.linalg.eigvals(left)).max()), 1.0 - 1e-9)
+        error[number] -= coupling[number] @ error / assumed[number]
+    slowest = min(float(np.abs(np.linalg.eigvals(error)).max()), 1.0 - 1e-9)
     return int(np.clip(np.log(1e-6) / np.log(max(slowest, 1e-3)), COUPLED_SWEEPS, MAX_SWEEPS))
 
 
 def joint_indices(client: int, body: int, hand: HandDescription) -> list[int]:
-    """Return PyBullet's index of every joint of the hand, (M,); a link has the index of its joint."""
+    """Return PyBullet's index of every joint of the hand, (M,), and thus of its link."""
     count = bullet.getNumJoints(body, client)
     names = [bullet.getJointInfo(body, index, client)[1].decode() for index in range(count)]
     return [names.index(name) for name in hand.joint_names]

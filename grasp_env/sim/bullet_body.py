@@ -14,18 +14,18 @@ from grasp_env.sim.hand.urdf import hull_faces
 from grasp_env.sim.mesh_files import obj_text
 from grasp_env.sim.objects.description import OBJECT_COLOR, ObjectDescription
 
+# arguments of changeDynamics that switch off Bullet's default damping
 UNDAMPED = dict.fromkeys(
-    (
+    [
         "linearDamping",
         "angularDamping",
         "jointDamping",
         "restitution",
         "rollingFriction",
         "spinningFriction",
-    ),
+    ],
     0.0,
 )
-"""Arguments of changeDynamics that switch off Bullet's default damping."""
 # capsules and cylinders of Bullet lie along z
 _Z_TO_Y = (-math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
 
@@ -33,10 +33,9 @@ _Z_TO_Y = (-math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
 def create_body(client: int, item: ObjectDescription, exact: bool = False) -> int:
     """Create an object at the origin, after the hand, and return its body number.
 
-    Bullet's surface equals `item.surface`. Contacts with cuboids, spheres, capsules and, if
-    `exact`, with the faces of a mesh instead of its pieces are exact. Its search for the nearest
-    point of other shapes merges corners within a centimetre: on the round side of a cylinder the
-    normal is off by up to 0.04, the distance by 40 um.
+    Contacts with cuboids, spheres and capsules are exact. So are those with a mesh if `exact`: its
+    faces collide instead of its pieces. At other shapes Bullet merges corners within a centimetre:
+    on the round side of a cylinder the normal is off by up to 0.04, the distance by 40 um.
     """
     with tempfile.TemporaryDirectory() as folder:
         solid, look = _shapes(item, folder, exact)
@@ -51,43 +50,33 @@ def create_body(client: int, item: ObjectDescription, exact: bool = False) -> in
 
 
 def set_dynamics(client: int, body: int, item: ObjectDescription) -> None:
-    """Set the mass, inertia and friction of a body to those of an object, without damping."""
+    """Set the mass, inertia and friction of a body, without damping."""
     # no frictionAnchor, which keeps old contact points: under a changing load the object crept by 1
-    # mm and the contact forces were off by 0.2 N (1e-6 N without)
+    # mm and contact forces were off by 0.2 N (1e-6 N without)
     bullet.changeDynamics(
         body,
         -1,
         mass=item.mass,
         localInertiaDiagonal=item.moments,
         lateralFriction=item.friction,
-        collisionMargin=_margin(item),
+        # else 0, as a margin rounds edges and grows meshes
+        collisionMargin=0.5 * item.size[0] if item.shape in ("sphere", "capsule") else 0.0,
         physicsClientId=client,
         **{**UNDAMPED, "spinningFriction": item.torsional_friction},
     )
 
 
-def _margin(item: ObjectDescription) -> float:
-    """Return Bullet's collision margin: the radius of spheres and capsules, else 0, as it rounds
-    edges and grows meshes.
-    """
-    return 0.5 * item.size[0] if item.shape in ("sphere", "capsule") else 0.0
-
-
 def _write(folder: str, name: str, parts: Sequence[tuple[Array, Any]]) -> str:
-    """Write an .obj of these parts and return its path.
-
-    It has no normals, so that Bullet shades each face flat.
-    """
-    Path(folder, name).write_text(obj_text(parts), encoding="ascii")
-    return str(Path(folder, name))
+    """Write an .obj without normals, so that Bullet shades each face flat; return its path."""
+    path = Path(folder, name)
+    path.write_text(obj_text(parts), encoding="ascii")
+    return str(path)
 
 
 def _shapes(
     item: ObjectDescription, folder: str, exact: bool
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the arguments of createCollisionShape and createVisualShape; the file of a mesh goes
-    into the folder.
-    """
+    """Return the arguments of createCollisionShape and createVisualShape."""
     if item.shape == "cuboid":
         sides = {"shapeType": bullet.GEOM_BOX, "halfExtents": [0.5 * side for side in item.size]}
         return sides, sides
@@ -98,26 +87,13 @@ def _shapes(
         if len(item.pieces) == 1:
             return {"shapeType": bullet.GEOM_MESH, "vertices": item.pieces[0].tolist()}, look
         hulls = [hull_faces(piece) for piece in item.pieces]
-        return {
-            "shapeType": bullet.GEOM_MESH,
-            "fileName": _write(folder, "pieces.obj", hulls),
-        }, look
+        return {**look, "fileName": _write(folder, "pieces.obj", hulls)}, look
     radius = 0.5 * item.size[0]
     if item.shape == "sphere":
         ball = {"shapeType": bullet.GEOM_SPHERE, "radius": radius}
         return ball, ball
     kind = bullet.GEOM_CYLINDER if item.shape == "cylinder" else bullet.GEOM_CAPSULE
     length = item.size[1] if item.shape == "cylinder" else item.size[1] - 2.0 * radius
-    solid = {
-        "shapeType": kind,
-        "radius": radius,
-        "height": length,
-        "collisionFrameOrientation": _Z_TO_Y,
-    }
-    look = {
-        "shapeType": kind,
-        "radius": radius,
-        "length": length,
-        "visualFrameOrientation": _Z_TO_Y,
-    }
-    return solid, look
+    common = {"shapeType": kind, "radius": radius}
+    solid = {**common, "height": length, "collisionFrameOrientation": _Z_TO_Y}
+    return solid, {**common, "length": length, "visualFrameOrientation": _Z_TO_Y}

@@ -1,8 +1,8 @@
 """The only import of PyBullet, its connections, and the suppression of its output.
 
-PyBullet prints from C when it is imported and when it connects, so both happen with the standard
-streams turned away. The rest of the package uses the raw module with an explicit client number:
-PyBullet's wrapper class costs three times as much per call.
+PyBullet prints from C when it is imported and when it connects. The rest of the package uses the
+raw module with an explicit client number: PyBullet's wrapper class costs three times as much per
+call.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from grasp_env.errors import MissingExtraError, SimulationError
 
 @contextmanager
 def silenced() -> Iterator[None]:
-    """Discard all output of C code to the standard streams while the block runs."""
+    """Discard all output to the standard streams while the block runs, also that of C code."""
     _flush()
     sink = os.open(os.devnull, os.O_WRONLY)
-    kept = {}
+    copies = {}
     try:
         for stream in (1, 2):
             with suppress(OSError):  # a process may have no standard streams
-                kept[stream] = os.dup(stream)
+                copies[stream] = os.dup(stream)
                 os.dup2(sink, stream)
         yield
     finally:
-        _flush()  # flush the buffers before the streams are restored
-        for stream, copy in kept.items():
+        _flush()
+        for stream, copy in copies.items():
             os.dup2(copy, stream)
             os.close(copy)
         os.close(sink)
@@ -71,16 +71,16 @@ def _has_display() -> bool:
 
 
 def _disconnect(number: int) -> None:
-    """Close a connection, unless PyBullet has closed it already, as it does when its window is
-    closed.
-    """
+    """Close a connection, unless it was closed with its window."""
     if bullet.isConnected(number):
         bullet.disconnect(number)
 
 
 class Client:
-    """One connection to a PyBullet server inside this process; raises a SimulationError without a
-    display, or if none is left.
+    """A connection to a PyBullet server inside this process.
+
+    Raises:
+        SimulationError: There is no display for a window, or no connection is left.
     """
 
     def __init__(self, gui: bool = False) -> None:
@@ -103,8 +103,10 @@ class Client:
 
     @property
     def number(self) -> int:
-        """Number of the connection, the argument `physicsClientId` of PyBullet's functions; raises
-        if the client is closed.
+        """Number of the connection, `physicsClientId` of PyBullet's functions.
+
+        Raises:
+            SimulationError: The client is closed.
         """
         if self._number is None:
             raise SimulationError("the simulation is closed; make a new Scene from its config")

@@ -1,4 +1,4 @@
-"""Configuration of a simulated grasp, as one frozen record."""
+"""Configuration of a simulated grasp."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _CUBOID_POINTS: tuple[Vector3, ...] = (
     (0.03, -0.02, 0.05),
 )
 START_CLEARANCE = 0.003  # distance between tips and object before the fingers close [m]
-ON_SURFACE = 1e-4  # largest distance of a given contact point from the surface [m]
+ON_SURFACE = 1e-4  # largest distance of a contact point from the surface [m]
 
 
 @dataclass(frozen=True)
@@ -35,8 +35,7 @@ class SceneConfig:
         substeps: Steps of the engine in one step of the scene, with the same torques. Contact
             forces are their mean.
         clearance: Gap between tips and object at the start [m]; at 0 they touch.
-        start_angles: Joint angles at the start [rad], (M,); () for those that put the tips at
-            `nominal_tips`.
+        start_angles: Joint angles at the start [rad], (M,); () to put the tips at `nominal_tips`.
 
     Example:
         >>> SceneConfig(gravity=(0.0, 0.0, 0.0)).contact_normals[0]
@@ -64,12 +63,12 @@ class SceneConfig:
         name = "contact_points, one row per finger of the hand"
         points = as_array(self.contact_points, (self.hand.finger_count, 3), name)
         object.__setattr__(self, "contact_points", tuple(map(tuple, points.tolist())))
-        off = np.array([self.object.surface.nearest(point)[2] for point in points])
-        if np.abs(off).max() > ON_SURFACE:
-            worst = int(np.abs(off).argmax())
+        gaps = np.array([self.object.surface.nearest(point)[2] for point in points])
+        worst = int(np.abs(gaps).argmax())
+        if np.abs(gaps[worst]) > ON_SURFACE:
             raise InvalidInputError(
                 f"contact_points[{worst}]={points[worst].tolist()} must lie on the surface of the object "
-                f"({self.object.shape}, size {self.object.size}), it is {off[worst] * 1e3:.2f} mm away: move it there"
+                f"({self.object.shape}, size {self.object.size}), it is {gaps[worst] * 1e3:.2f} mm away: move it there"
             )
 
     @property
@@ -80,12 +79,11 @@ class SceneConfig:
         )
 
     def nominal_tips(self) -> np.ndarray:
-        """Return the centres of the tips at the start [m], (N, 3), world frame, `clearance` away
-        from the object.
+        """Return the centres of the tips at the start [m], (N, 3), world frame.
 
-        Without clearance they overlap it by `engine.overlap`. From distance zero the object would
-        fall and slip for a step, by 0.2 mm at 500 Hz.
+        Without clearance the tips overlap the object by `engine.overlap`. From distance zero the
+        object would fall and slip for a step, by 0.2 mm at 500 Hz.
         """
         radii = np.array([tip.radius for tip in self.hand.fingertips])
-        away = radii + (self.clearance or -self.engine.overlap)
-        return np.array(self.contact_points) - away[:, None] * self.contact_normals
+        distances = radii + (self.clearance or -self.engine.overlap)
+        return np.array(self.contact_points) - distances[:, None] * self.contact_normals

@@ -21,17 +21,13 @@ _MAX_SWEEPS = 100_000
 
 @dataclass(frozen=True)
 class EngineSettings(Settings):
-    """Settings of a physics engine.
-
-    One file implements `Simulator` for it, another one `Painter`.
-    """
+    """Settings of a physics engine."""
 
     extra: ClassVar[str] = "sim"  # of `pyproject.toml`, which installs the engine
-    simulator: ClassVar[tuple[str, str]] = ("", "")  # module and class
-    painter: ClassVar[tuple[str, str]] = ("", "")
+    simulator: ClassVar[tuple[str, str]] = ("", "")  # module and class that implement `Simulator`
+    painter: ClassVar[tuple[str, str]] = ("", "")  # module and class that implement `Painter`
     overlap: ClassVar[float] = 1e-5
-    """Depth at which tips start inside the object when there is no clearance [m]; see
-    `SceneConfig.nominal_tips`."""
+    """Depth at which tips without clearance start in the object [m]; see `SceneConfig`."""
 
     rate: int = setting(
         250, integer(1), "Steps per simulated second; a multiple of `controller.rate`.", unit="Hz"
@@ -128,7 +124,7 @@ class MujocoEngine(EngineSettings):
 
 
 ENGINES: dict[str, type[EngineSettings]] = {
-    made.name: made for made in (BulletEngine, MujocoEngine)
+    engine.name: engine for engine in (BulletEngine, MujocoEngine)
 }
 """Every engine. To add one, write its settings class here and the modules that the class names."""
 ENGINE = any_of(
@@ -138,13 +134,12 @@ ENGINE = any_of(
 
 
 def engine_of(engine: Any = None, quiet: bool = False) -> EngineSettings:
-    """Return the settings of an engine: those given, the defaults of the named one, or the default
-    engine's.
+    """Return the settings of an engine.
 
     Args:
         engine: Settings, a name in `ENGINES`, or None: PyBullet if it is installed, otherwise
             MuJoCo.
-        quiet: Do not log that MuJoCo is the default. Otherwise it is logged once in a process.
+        quiet: Do not log that MuJoCo is the default; otherwise it is logged once in a process.
 
     Raises:
         UnknownNameError: No engine has that name.
@@ -163,8 +158,10 @@ def engine_of(engine: Any = None, quiet: bool = False) -> EngineSettings:
 
 
 def class_of(engine: EngineSettings, role: str) -> Any:
-    """Import and return the class of an engine's "simulator" or "painter"; raise a
-    MissingExtraError if it is not installed.
+    """Import the class of an engine's "simulator" or "painter".
+
+    Raises:
+        MissingExtraError: The engine is not installed.
     """
     module, name = getattr(engine, role)
     with need(engine.extra):
@@ -173,10 +170,7 @@ def class_of(engine: EngineSettings, role: str) -> Any:
 
 @cache
 def _log_mujoco() -> None:
-    """Log the default once in a process.
-
-    It is no warning, which `python -W error` would turn into an error.
-    """
+    # no warning, which `python -W error` would turn into an error
     logging.getLogger(__name__).warning(
         "pybullet is not installed, so the default engine is MuJoCo"
     )

@@ -1,4 +1,4 @@
-"""MJCF of a hand and an object, with numbers as the names of links, joints and shapes."""
+"""MJCF of a hand and an object, with numbers as names of links, joints and shapes."""
 
 from __future__ import annotations
 
@@ -32,8 +32,7 @@ def scene_mjcf(
     timestep: float,
     engine: MujocoEngine,
 ) -> str:
-    """Return the MJCF of the simulated world: the hand with its palm fixed, and the free object at
-    the origin.
+    """Return the MJCF of the fixed hand and the free object at the origin.
 
     Joints have no damping, armature or motors: torques are applied directly. The object's friction
     coefficients have priority, and are the products with the tips' friction that Bullet forms.
@@ -41,14 +40,13 @@ def scene_mjcf(
     """
     spring = f"{engine.time_constant or 2.0 * timestep!r} {engine.damping_ratio!r}"
     soft = f'solref="{spring}" solimp="{digits(engine.impedance)}"'
-    sliding, turning = (
-        part * hand.tip_friction for part in (item.friction, item.torsional_friction)
-    )
+    sliding = item.friction * hand.tip_friction
+    turning = item.torsional_friction * hand.tip_friction
     meshes: list[str] = []
     tree = _tree(hand, lambda body: _shapes(body.collision, meshes))
-    shape = "".join(
-        f'<geom {each} priority="1" friction="{sliding!r} {turning!r} 0"/>'
-        for each in _object_shapes(item, meshes)
+    shapes = "".join(
+        f'<geom {shape} priority="1" friction="{sliding!r} {turning!r} 0"/>'
+        for shape in _object_shapes(item, meshes)
     )
     return f"""<mujoco><compiler angle="radian" eulerseq="XYZ" inertiafromgeom="false" autolimits="false"/>
 <option timestep="{timestep!r}" gravity="{digits(gravity)}" cone="{engine.cone}" impratio="{engine.impratio!r}"
@@ -57,7 +55,7 @@ def scene_mjcf(
 <default><geom condim="{4 if turning else 3}" friction="{hand.tip_friction**2!r} 0 0" {soft}/>
 <joint damping="0" armature="0" frictionloss="0" solreflimit="{spring}"/><equality {soft}/></default>
 <asset>{"".join(meshes)}</asset>
-<worldbody>{tree}{_free_body(item, shape)}</worldbody>
+<worldbody>{tree}{_free_body(item, shapes)}</worldbody>
 <contact>{"".join(f'<exclude body1="{one}" body2="{other}"/>' for one, other in _neighbours(hand))}</contact>
 <equality>{"".join(_couplings(hand))}</equality></mujoco>"""
 
@@ -65,11 +63,10 @@ def scene_mjcf(
 def looks_mjcf(
     hand: HandDescription, item: ObjectDescription | None = None
 ) -> tuple[str, dict[str, Geometry]]:
-    """Return the MJCF for pictures: the bodies and joints of `scene_mjcf` with their visual shapes
-    and a light, without contacts.
+    """Return the MJCF for pictures: the bodies of `scene_mjcf` with visual shapes and a light.
 
-    Also return the visual shapes of kind "mesh" by the names of the meshes that it uses but does
-    not define.
+    Also return the visual shapes of kind "mesh", by the names of the meshes that the MJCF uses but
+    does not define.
     """
     meshes: list[str] = []
     files: dict[str, Geometry] = {}
@@ -81,22 +78,21 @@ def looks_mjcf(
         )
 
     tree = _tree(hand, looks)
-    held = ""
     if item is not None:
         color = f'rgba="{digits((*OBJECT_COLOR, 1.0))}" group="{OBJECT_GROUP}"'
-        held = _free_body(item, f"<geom {_object_look(item, meshes)} {color}/>")
+        tree += _free_body(item, f"<geom {_object_look(item, meshes)} {color}/>")
     text = f"""<mujoco><compiler angle="radian" eulerseq="XYZ" inertiafromgeom="false" autolimits="false"/>
 <statistic extent="1" center="0 0 0"/>
 <visual><headlight ambient="0.62 0.62 0.62" diffuse="0 0 0" specular="0 0 0"/><quality shadowsize="4096" offsamples="0"/></visual>
 <default><geom contype="0" conaffinity="0"/></default>
 <asset>{"".join(meshes)}</asset>
 <worldbody><light directional="true" pos="0.5 1 0.6" dir="-0.5 -1 -0.6" diffuse="0.42 0.42 0.42" specular="0.08 0.08 0.08"/>
-{tree}{held}</worldbody></mujoco>"""
+{tree}</worldbody></mujoco>"""
     return text, files
 
 
 def _tree(hand: HandDescription, shapes: Callable[[Link | Palm], str]) -> str:
-    """Return the bodies of palm and links, each with the elements that `shapes` makes."""
+    """Return the bodies of palm and links, with the elements that `shapes` makes."""
     children: dict[str, list[int]] = {}
     for index, link in enumerate(hand.links):
         children.setdefault(link.parent, []).append(index)
@@ -110,7 +106,6 @@ def _tree(hand: HandDescription, shapes: Callable[[Link | Palm], str]) -> str:
 
 
 def _free_body(item: ObjectDescription, shape: str) -> str:
-    """Return the body of the object, at the origin."""
     inertial = f'<inertial pos="0 0 0" mass="{item.mass!r}" diaginertia="{digits(item.moments)}"/>'
     return f'<body name="{OBJECT}"><freejoint/>{inertial}{shape}</body>'
 
@@ -119,17 +114,14 @@ def _body(
     link: Link, index: int, shapes: Callable[[Link | Palm], str], bodies: Callable[[str], str]
 ) -> str:
     ixx, ixy, ixz, iyy, iyz, izz = link.inertia
-    limited = math.isfinite(link.lower)
-    ends = (
-        f'limited="true" range="{digits((link.lower, link.upper))}"'
-        if limited
-        else 'limited="false"'
-    )
+    limits = 'limited="false"'
+    if math.isfinite(link.lower):
+        limits = f'limited="true" range="{digits((link.lower, link.upper))}"'
     kind = "slide" if link.sliding else "hinge"
     return (
         f'<body name="{link_name(index)}" pos="{digits(link.origin)}" euler="{digits(link.rotation)}">'
         f'<inertial pos="{digits(link.center)}" mass="{link.mass!r}" fullinertia="{digits((ixx, iyy, izz, ixy, ixz, iyz))}"/>'
-        f'<joint name="{link_name(index)}" type="{kind}" axis="{digits(link.axis)}" {ends}/>'
+        f'<joint name="{link_name(index)}" type="{kind}" axis="{digits(link.axis)}" {limits}/>'
         f"{shapes(link)}{bodies(link.name)}</body>"
     )
 
@@ -142,27 +134,24 @@ def _shapes(shapes: Iterable[Geometry], meshes: list[str]) -> str:
 def _shape(
     shape: Geometry, meshes: list[str], look: str = "", files: dict[str, Geometry] | None = None
 ) -> str:
-    """Return the element of a shape, with the attributes `look`; a shape of kind "mesh" is added to
-    `files`.
-    """
+    """Return the element of a shape with attributes `look`; add those of kind "mesh" to `files`."""
     kind, size = shape.kind, shape.size
     if kind == "mesh" and files is not None:
         name = f"file{len(files)}"
-        files[name], given = shape, f'mesh="{name}"'
+        files[name] = shape
+        form = f'mesh="{name}"'
     elif kind == "hull":
         kind = "mesh"
-        given = _mesh(shape.corners, meshes)
+        form = _mesh(shape.corners, meshes)
     elif kind == "box":
-        given = f'size="{digits(0.5 * side for side in size)}"'
+        form = f'size="{digits(0.5 * side for side in size)}"'
     else:  # MuJoCo takes half the length of a cylinder
-        given = f'size="{digits((size[0], *(0.5 * length for length in size[1:])))}"'
-    return f'<geom type="{kind}" {given} pos="{digits(shape.origin)}" euler="{digits(shape.rotation)}" {look}/>'
+        form = f'size="{digits((size[0], *(0.5 * length for length in size[1:])))}"'
+    return f'<geom type="{kind}" {form} pos="{digits(shape.origin)}" euler="{digits(shape.rotation)}" {look}/>'
 
 
 def _object_shapes(item: ObjectDescription, meshes: list[str]) -> list[str]:
-    """Return type, size and orientation of the object's collision shapes: for a mesh, its convex
-    pieces.
-    """
+    """Return type, size and orientation of the object's collision shapes."""
     if item.shape == "mesh":
         return [f'type="mesh" {_mesh(piece, meshes)} euler="0 0 0"' for piece in item.pieces]
     return [_object_look(item, meshes)]
@@ -182,30 +171,24 @@ def _object_look(item: ObjectDescription, meshes: list[str]) -> str:
 
 
 def _mesh(corners: Any, meshes: list[str], faces: Any = None) -> str:
-    """Add corners (K, 3) [m] with faces (F, 3), or their convex hull, to `meshes`; return the
-    attribute that refers to it.
-    """
+    """Add a mesh, or the hull of its corners, to `meshes`; return the attribute that refers to it."""
     name = f"mesh{len(meshes)}"
-    drawn = (
-        ""
-        if faces is None
-        else f' face="{" ".join(map(str, np.ravel(faces).tolist()))}" inertia="shell"'
-    )
-    meshes.append(f'<mesh name="{name}" vertex="{digits(np.ravel(corners))}"{drawn}/>')
+    extra = ""
+    if faces is not None:
+        extra = f' face="{" ".join(map(str, np.ravel(faces).tolist()))}" inertia="shell"'
+    meshes.append(f'<mesh name="{name}" vertex="{digits(np.ravel(corners))}"{extra}/>')
     return f'mesh="{name}"'
 
 
 def _couplings(hand: HandDescription) -> Iterable[str]:
     for index, (link, driver) in enumerate(zip(hand.links, hand.drivers, strict=True)):
         if link.mimic is not None:
-            line = f"{link.mimic.offset!r} {link.mimic.ratio!r} 0 0 0"
-            yield f'<joint joint1="{link_name(index)}" joint2="{link_name(driver)}" polycoef="{line}"/>'
+            joints = f'joint1="{link_name(index)}" joint2="{link_name(driver)}"'
+            yield f'<joint {joints} polycoef="{link.mimic.offset!r} {link.mimic.ratio!r} 0 0 0"/>'
 
 
 def _neighbours(hand: HandDescription) -> Iterable[tuple[str, str]]:
-    """Yield pairs of bodies that do not collide: links and their parents, and links that overlap in
-    every posture.
-    """
+    """Yield bodies that do not collide: links and parents, and links that always overlap."""
     numbers = {link.name: index for index, link in enumerate(hand.links)}
     parents = {(numbers.get(link.parent, -1), index) for index, link in enumerate(hand.links)}
     for pair in sorted(parents | set(touching_pairs(hand))):

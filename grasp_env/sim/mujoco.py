@@ -18,8 +18,7 @@ from grasp_env.sim.simulator import Simulator
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 _CLOSED = "the simulation is closed; make a new Scene from its config"
-_MIN_FORCE = 1e-9
-"""Force below which a contact counts as open [N]."""
+_MIN_FORCE = 1e-9  # force below which a contact counts as open [N]
 
 
 class Mujoco(Simulator):
@@ -28,8 +27,7 @@ class Mujoco(Simulator):
     It has no window; pictures have a model of their own.
 
     Attributes:
-        model, data: MuJoCo's model and data; each `load` makes new ones, and they are None after
-            `close`.
+        model, data: MuJoCo's model and data; each `load` makes new ones. None after `close`.
     """
 
     def __init__(self, hand: HandDescription, gui: bool = False, visuals: bool = False) -> None:
@@ -60,10 +58,10 @@ class Mujoco(Simulator):
         self._body = model.body(OBJECT).id
         self._shapes = np.flatnonzero(model.geom_bodyid == self._body)
         free = model.body_jntadr[self._body]
-        place = int(model.jnt_qposadr[free])
-        speed = int(model.jnt_dofadr[free])
-        self._place, self._turn = slice(place, place + 3), slice(place + 3, place + 7)
-        self._linear, self._angular = slice(speed, speed + 3), slice(speed + 3, speed + 6)
+        start = int(model.jnt_qposadr[free])
+        self._position, self._turn = slice(start, start + 3), slice(start + 3, start + 7)
+        start = int(model.jnt_dofadr[free])
+        self._linear, self._angular = slice(start, start + 3), slice(start + 3, start + 6)
         links = {
             model.body(link_name(index)).id: float(index) for index in range(self._hand.joint_count)
         }
@@ -71,7 +69,7 @@ class Mujoco(Simulator):
         self._steps = config.substeps
         self._kept = {}
         self._recorded: list[tuple[Array, ...]] = []  # contacts of every step of the last `advance`
-        self._contacts: Array | None = np.empty(0)  # None: to be made from `_recorded`
+        self._contacts: Array | None = np.empty(0)  # None: to be computed from `_recorded`
         self._rotation = np.zeros(9)
         data.qpos[self._angles] = angles
         mujoco.mj_forward(model, data)
@@ -87,9 +85,9 @@ class Mujoco(Simulator):
         self._contacts = None
         for _ in range(self._steps):
             if wrench is not None:
-                turn = self._turned()
-                data.xfrc_applied[self._body, :3] = turn @ wrench[:3]
-                data.xfrc_applied[self._body, 3:] = turn @ wrench[3:]
+                rotation = self._object_rotation()
+                data.xfrc_applied[self._body, :3] = rotation @ wrench[:3]
+                data.xfrc_applied[self._body, 3:] = rotation @ wrench[3:]
             mujoco.mj_step(model, data)
             self._record_contacts()
 
@@ -98,15 +96,14 @@ class Mujoco(Simulator):
         data = self._open_data()
         state, rates = data.qpos, data.qvel
         w, x, y, z = state[self._turn]
-        spin = self._turned() @ rates[self._angular]
         return np.concatenate(
             [
                 state[self._angles],
                 rates[self._rates],
-                state[self._place],
+                state[self._position],
                 (x, y, z, w),
                 rates[self._linear],
-                spin,
+                self._object_rotation() @ rates[self._angular],
                 self._object_contacts(),
             ]
         )
@@ -116,9 +113,9 @@ class Mujoco(Simulator):
         self._open_data()
         if not self._recorded:
             return []
-        shapes, _, _, pushes = self._recorded[-1]
-        mine = shapes[(pushes[:, 0] > _MIN_FORCE) & ~np.isin(shapes, self._shapes).any(axis=1)]
-        links: Array = self._links[mine.astype(int)]
+        shapes, _, _, forces = self._recorded[-1]
+        own = shapes[(forces[:, 0] > _MIN_FORCE) & ~np.isin(shapes, self._shapes).any(axis=1)]
+        links: Array = self._links[own.astype(int)]
         pairs = np.sort(links, axis=1).astype(int).tolist()
         return sorted({(first, second) for first, second in pairs})
 
@@ -132,8 +129,8 @@ class Mujoco(Simulator):
         self._open_data()
         model = self.model
         model.body_mass[self._body], model.body_inertia[self._body] = item.mass, item.moments
-        pair = np.multiply((item.friction, item.torsional_friction), self._hand.tip_friction)
-        model.geom_friction[self._shapes, :2] = pair
+        friction = np.multiply((item.friction, item.torsional_friction), self._hand.tip_friction)
+        model.geom_friction[self._shapes, :2] = friction
         # updates constants that depend on masses, and writes to its data
         mujoco.mj_setConst(model, mujoco.MjData(model))
 
@@ -162,37 +159,33 @@ class Mujoco(Simulator):
             raise SimulationError(_CLOSED)
         return self.data
 
-    def _turned(self) -> Array:
-        """Return the rotation from object frame to world frame, (3, 3); MuJoCo's own is that at the
-        start of the last step.
-        """
+    def _object_rotation(self) -> Array:
+        """Return the rotation (3, 3) to the world frame; MuJoCo's is that before the last step."""
         mujoco.mju_quat2Mat(self._rotation, self.data.qpos[self._turn])
         return self._rotation.reshape(3, 3)
 
     def _record_contacts(self) -> None:
-        """Copy shapes, positions, frames and forces of all contacts, as the next step overwrites
-        them.
-        """
-        seen = self.data.contact
-        pushes = np.empty((self.data.ncon, 6))
-        for index, push in enumerate(pushes):
-            mujoco.mj_contactForce(self.model, self.data, index, push)
-        self._recorded.append((seen.geom.copy(), seen.pos.copy(), seen.frame.copy(), pushes))
+        """Copy the data of all contacts, as the next step overwrites them."""
+        contacts = self.data.contact
+        forces = np.empty((self.data.ncon, 6))
+        for index, force in enumerate(forces):
+            mujoco.mj_contactForce(self.model, self.data, index, force)
+        record = contacts.geom.copy(), contacts.pos.copy(), contacts.frame.copy(), forces
+        self._recorded.append(record)
 
     def _object_contacts(self) -> Array:
-        """Return link, position and force on the object, divided by the number of steps, of its
-        contacts in the last `advance`, (7n,).
+        """Return the object's contacts in the last `advance`, (7n,): link, position and force.
+
+        The forces act on the object and are divided by the number of steps.
         """
         if self._contacts is None:
-            shapes, places, frames, pushes = (
-                np.concatenate(parts) for parts in zip(*self._recorded, strict=True)
-            )
-            held = np.isin(shapes, self._shapes)
+            shapes, points, frames, forces = map(np.concatenate, zip(*self._recorded, strict=True))
+            of_object = np.isin(shapes, self._shapes)
+            rows = of_object.any(axis=1) & (forces[:, 0] > _MIN_FORCE)
             # the contact's frame belongs to the first shape, and the force acts on the second
-            second = held[:, 1]
-            mine = held.any(axis=1) & (pushes[:, 0] > _MIN_FORCE)
-            shares = np.where(second, 1.0, -1.0)[:, None] / len(self._recorded) * pushes[:, :3]
-            forces = np.einsum("ni,nij->nj", shares, frames.reshape(-1, 3, 3))
+            second = of_object[:, 1]
+            local = np.where(second, 1.0, -1.0)[:, None] / len(self._recorded) * forces[:, :3]
+            world = np.einsum("ni,nij->nj", local, frames.reshape(-1, 3, 3))
             links = self._links[np.where(second, shapes[:, 0], shapes[:, 1])]
-            self._contacts = np.column_stack([links, places, forces])[mine].reshape(-1)
+            self._contacts = np.column_stack([links, points, world])[rows].reshape(-1)
         return self._contacts

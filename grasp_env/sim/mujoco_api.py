@@ -8,6 +8,6 @@ import mujoco as compiled
 
 mujoco: Any = compiled  # it has no type stubs
 
-# by default it logs divergence, which callers report, to a file in the working directory
+# by default it logs divergence, which callers report, to a file
 if mujoco.get_mju_user_warning() is None:
     mujoco.set_mju_user_warning(lambda text: None)

@@ -10,16 +10,12 @@ from typing import TypeVar
 
 Item = TypeVar("Item")
 
-PATIENCE = 1.0
-"""Time after which long work is reported [s]."""
+PATIENCE = 1.0  # time after which long work is reported [s]
 _WIDTH = 24  # characters of the bar
 
 
 class ProgressLine:
-    """A line on stderr that is overwritten.
-
-    Nothing is written to anything but a terminal, nor within `PATIENCE`.
-    """
+    """A line on stderr that is overwritten; only on a terminal, and after `PATIENCE`."""
 
     def __init__(self) -> None:
         self._begun = time.monotonic()
@@ -30,7 +26,7 @@ class ProgressLine:
         return self
 
     def write(self, text: str) -> None:
-        """Show a text and the seconds since the line was made."""
+        """Show a text and the elapsed seconds."""
         passed = time.monotonic() - self._begun
         if self._terminal and passed > PATIENCE:
             text = f"{text}, {passed:.0f} s"[: shutil.get_terminal_size().columns - 1]

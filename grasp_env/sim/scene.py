@@ -1,6 +1,4 @@
-"""Simulated grasp: a torque-controlled hand around an object, and the state that a control loop
-reads.
-"""
+"""Simulated grasp: a torque-controlled hand around an object."""
 
 from __future__ import annotations
 
@@ -22,18 +20,17 @@ from grasp_env.sim.snapshot import Snapshot
 class Scene:
     """A hand around an object in a simulator of its own.
 
-    `look` returns views of arrays that are reused. The next reading after a `step` overwrites them:
-    copy what you keep.
+    `look` returns views of arrays that the next reading overwrites: copy what you keep.
 
     Args:
         config: The scene.
         gui: Open a window; needs a display.
-        visuals: Load the hand's visual shapes, which pictures need. They make loading a new object
-            five times slower.
+        visuals: Load the hand's visual shapes for pictures, which makes `load` five times slower.
 
     Attributes:
         simulator: The physics engine, for direct calls. With PyBullet it has `client`, the
-            connection, and `world`, the ids of the bodies. With MuJoCo it has `model` and `data`.
+            connection, and `world`, the numbers of the bodies. With MuJoCo it has `model` and
+            `data`.
         kinematics: Kinematics of the hand.
         core: The compiled `core.Scene`, which holds the hand, the object and the last reading.
         gravity: Current gravity [m/s^2], (3,), world frame.
@@ -73,13 +70,13 @@ class Scene:
         return self.config.substeps / self.config.engine.rate
 
     def load(self, config: SceneConfig) -> None:
-        """Load another object, grasp or hand. The engine and its settings stay as they are.
+        """Load another object, grasp or hand.
 
         All saved states are dropped. Unlike the constructor, `load` saves no "start" state: call
         `keep` before the next `reset`.
 
         Args:
-            config: The new scene; its engine is ignored.
+            config: The new scene; its engine is ignored, and the present one stays.
 
         Raises:
             InvalidInputError: A finger cannot reach its contact; the scene is unchanged.
@@ -97,10 +94,7 @@ class Scene:
         self._build(angles)
 
     def change_object(self, mass: float | None = None, friction: float | None = None) -> None:
-        """Change the mass [kg] of the object (and its inertia in proportion) or its friction.
-
-        `reset` does not undo the change.
-        """
+        """Change the object's mass [kg], with its inertia, or friction; `reset` does not undo it."""
         item = self.config.object
         if mass is not None:
             inertia = item.inertia and tuple(np.multiply(item.inertia, mass / item.mass).tolist())
@@ -119,17 +113,14 @@ class Scene:
             self._core_is_current = False
 
     def keep(self, name: str = "start") -> None:
-        """Save the current state under a name, for `reset`.
-
-        An earlier state of that name is replaced.
-        """
+        """Save the current state for `reset`, in place of an earlier one of that name."""
         self.simulator.keep(name)
         self._core_is_current = False
 
     def reset(self, name: str = "start") -> None:
         """Restore a saved state exactly, contact forces included.
 
-        Gravity and the object's mass, inertia and friction stay as they are now.
+        Gravity and the object's mass, inertia and friction do not change.
 
         Raises:
             UnknownNameError: No state was saved under that name.
@@ -151,23 +142,18 @@ class Scene:
         """
         limits = self.kinematics.torque_limits
         numbers = as_array(torques, (len(limits),), "torques")
-        wrench = (
-            None
-            if external_wrench is None
-            else as_array(external_wrench, (6,), "external_wrench").tolist()
-        )
+        wrench = None
+        if external_wrench is not None:
+            wrench = as_array(external_wrench, (6,), "external_wrench").tolist()
         self.advance(np.clip(numbers, -limits, limits).tolist(), wrench)
 
     def advance(self, torques: list[float], wrench: list[float] | None) -> None:
-        """Step without checks, for loops: `torques` must be within the limits; `wrench` may be
-        None.
-        """
+        """Step without checks, for loops; `torques` must be within the limits."""
         self.simulator.advance(torques, wrench)
         self._core_is_current = False
 
     def look(self) -> Snapshot:
-        """Return the current state of hand, object and contacts, and the contact forces of the last
-        step.
+        """Return the current state of hand and object, and the contact forces of the last step.
 
         Raises:
             SimulationError: The simulation diverged, or the scene is closed.
@@ -180,7 +166,7 @@ class Scene:
     def new_reading(self) -> Array | None:
         """Return the simulator's reading if the core does not have it yet, else None.
 
-        The caller must pass it to `core.read`, because it is not returned again.
+        The caller must pass it to `core.read`: the next call returns None.
         """
         if self._core_is_current:
             return None
@@ -208,10 +194,7 @@ class Scene:
         self._core_is_current = False
 
     def divergence_error(self, reading: Array) -> SimulationError:
-        """Return the error for a reading that `core.read` rejected.
-
-        Also force the next `look` to read the simulator again.
-        """
+        """Return the error for a reading that `core.read` rejected; the next `look` reads again."""
         self._core_is_current = False
         body = reading[2 * len(self._snapshot.angles) :]
         return SimulationError(
@@ -221,9 +204,6 @@ class Scene:
 
 
 def _start_angles(config: SceneConfig, kinematics: HandKinematics) -> Array:
-    """Return the joint angles at the start [rad], (M,)."""
-    return (
-        np.array(config.start_angles)
-        if config.start_angles
-        else kinematics.solve(config.nominal_tips())
-    )
+    if config.start_angles:
+        return np.array(config.start_angles)
+    return kinematics.solve(config.nominal_tips())

@@ -10,19 +10,14 @@ from grasp_env.sim.objects.description import ObjectDescription
 
 
 class Simulator(Protocol):
-    """One hand and one object in a physics engine, constructed from the hand, `gui` and `visuals`;
-    see `engine.ENGINES`.
+    """One hand and one object in a physics engine, made from the hand, `gui` and `visuals`.
 
-    All quantities are in the world frame, and links and joints have the hand's own numbers: the
-    conventions of an engine stay behind this interface. Pictures have an interface of their own,
-    `Painter`.
+    All quantities are in the world frame, and links and joints have the hand's numbers. See
+    `engine.ENGINES`, and `Painter` for pictures.
     """
 
     def load(self, config: SceneConfig, angles: Array) -> None:
-        """Build the scene at rest, with the joints at `angles` (M,) [rad].
-
-        All saved states are dropped.
-        """
+        """Build the scene at rest, with the joints at `angles` (M,) [rad]; drop all saved states."""
 
     def advance(self, torques: list[float], wrench: list[float] | None) -> None:
         """Advance the scene by one step, `config.substeps` steps of the engine.
@@ -34,19 +29,16 @@ class Simulator(Protocol):
         """
 
     def read(self) -> Array:
-        """Return the array that `core.Scene.read` takes: joint angles and rates, the object, the
-        contacts between hand and object.
+        """Return the array for `core.Scene.read`: joint angles and rates, the object, contacts.
 
-        Contacts and their forces are those of the last `advance`: each engine step adds its rows,
-        with the force divided by the number of steps. After `reset` they are those that were saved
-        with the state. The array is valid until the next call.
+        Contacts between hand and object and their forces are those of the last `advance`: each
+        engine step adds its rows, with the force divided by the number of steps. After `reset` they
+        are those saved with the state. The array is valid until the next call.
         """
         ...
 
     def self_contacts(self) -> list[tuple[int, int]]:
-        """Return pairs of links of the hand that pushed each other in the last step, by number; -1
-        is the palm.
-        """
+        """Return the pairs of links that pushed each other in the last step; -1 is the palm."""
         ...
 
     def set_gravity(self, gravity: Array) -> None:
@@ -56,10 +48,7 @@ class Simulator(Protocol):
         """Change the object's mass, inertia and friction. `reset` does not undo the change."""
 
     def keep(self, name: str) -> None:
-        """Save the current state under a name, for `reset`.
-
-        An earlier state of that name is replaced.
-        """
+        """Save the current state for `reset`, in place of an earlier one of that name."""
 
     def reset(self, name: str) -> None:
         """Restore a saved state exactly, contact forces included."""

@@ -1,4 +1,4 @@
-"""State of a scene after a step, as named arrays."""
+"""State of a scene, as named arrays."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from grasp_env.inputs.arguments import Array
 
 
 class Snapshot(NamedTuple):
-    """Views of the core's struct of that name, which the next reading overwrites; N tips, M joints.
+    """Views of the core's arrays, which the next reading overwrites; N tips, M joints.
 
-    The geometry is computed from the current poses, for spherical tips and the object's surface. An
-    engine's own contact points belong to the start of the last step, and a finger that does not
-    touch has none. Only the forces are the engine's.
+    Only the forces are the engine's. The geometry is computed from the current poses, for spherical
+    tips and the object's surface: an engine's contact points belong to the start of the last step,
+    and a finger that does not touch has none.
     """
 
     position: Array  # (3,) centre of the object [m], world frame

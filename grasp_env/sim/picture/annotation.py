@@ -15,8 +15,7 @@ from grasp_env.inputs.arguments import Array, as_array, positive
 
 WRENCH_COLOR = (150, 30, 140)
 LONGEST = 0.08  # length of the longest force arrow [m]
-# drawn scale of the wrench's force over that of the fingers' forces, which are larger
-WRENCH_STRETCH = 2.0
+WRENCH_STRETCH = 2.0  # drawn scale of the wrench's force over that of the fingers' larger forces
 LONGEST_TURN = math.radians(300.0)  # angle of the longest arc of a moment [rad]
 
 
@@ -34,17 +33,15 @@ class Annotation:
         colors: (N, 3) colours of the fingers: red, green and blue in [0, 1].
         wrench: (6,) external force [N] and moment [N m] on the object.
         center: (3,) point of application of the wrench's force [m].
-        scale: drawn length of forces [m/N]; choose it so that the longest is about `LONGEST`.
-        turn: drawn angle of moments [rad/(N m)]; choose it so that the largest is about
-            `LONGEST_TURN`.
+        scale: drawn length of forces [m/N]; the longest should have about `LONGEST`.
+        turn: drawn angle of moments [rad/(N m)]; the largest should have about `LONGEST_TURN`.
         title: task and disturbance, at the top left.
         hand: name of the hand, at the top right.
-        alarm: error text, in red; the first of `lines` is then red, too.
+        alarm: error text, in red, as is then the first of `lines`.
         lines: (label, value) pairs at the bottom.
 
     Raises:
-        InvalidInputError: An array has a wrong shape or a number that is not finite, or a scale is
-            not positive.
+        InvalidInputError: An array has a wrong shape or is not finite, or a scale is not positive.
     """
 
     points: Array

@@ -30,14 +30,11 @@ from grasp_env.sim.scene import Scene
 
 
 class BulletPainter(Painter):
-    """Renderer of the bodies in a PyBullet server, which it closes unless a scene owns it; see
-    `Painter`.
-    """
+    """Renderer of the bodies in a PyBullet server; see `Painter`."""
 
     def __init__(self, client: Client, scene: Scene | None = None) -> None:
         self._client, self._scene = client, scene
-        # PyBullet's numbers of the lines in the window, drawn for `_world`
-        self._lines: list[int] = []
+        self._lines: list[int] = []  # PyBullet's numbers of lines in the window, drawn for `_world`
         self._world: object = None
 
     @classmethod
@@ -97,7 +94,7 @@ class BulletPainter(Painter):
     def show(self, annotation: Annotation) -> None:
         """See `Painter`. The lines are drawn once in the server's window and then moved."""
         assert self._scene is not None
-        if self._scene.simulator.world is not self._world:  # newly loaded bodies have no lines yet
+        if self._scene.simulator.world is not self._world:  # loaded bodies have no lines yet
             self._world = self._scene.simulator.world
             self._lines = []
         lines = lines_of(annotation)

@@ -37,7 +37,7 @@ class CameraConfig:
             `DIRECTION`, turned about the vertical if more contacts are visible then.
         field_of_view: Vertical opening angle [degrees].
         margin: Share of the width and of the height left free beside and above hand and object.
-        footer: Share of the height left free below them for the text of annotations.
+        footer: Share of the height left free below them for text.
         arrows: Distance from the object's centre along each axis that is also in the picture [m].
         object_opacity: Opacity of the object. Below 1 the tips behind it are visible, and drawing
             takes twice the time.
@@ -69,20 +69,17 @@ class CameraConfig:
         number(self.footer, "footer", Range(0.0, 0.5))
         number(self.arrows, "arrows", Range(0.0, 1.0, "m"))
         number(self.object_opacity, "object_opacity", Range(0.0, 1.0))
-        if self.direction is not None and (
-            not np.isfinite(self.direction).all()
-            or np.hypot(self.direction[0], self.direction[2]) < 1e-3
-        ):
+        direction = DIRECTION if self.direction is None else self.direction
+        if not np.isfinite(direction).all() or np.hypot(direction[0], direction[2]) < 1e-3:
             raise InvalidInputError(
                 f"direction={self.direction} must be finite and not vertical (y is up)"
             )
 
 
 class Camera:
-    """Camera of one scene; make it when the first picture is needed.
+    """Camera of one scene, whose picture hand and object fill.
 
-    Hand and object fill its picture. It moves only when the scene loads other bodies or `fit` is
-    called.
+    It moves only when the scene loads other bodies or `fit` is called.
 
     Args:
         scene: The scene.
@@ -93,8 +90,7 @@ class Camera:
         view: Current position and opening.
 
     Raises:
-        SimulationError: This machine has no OpenGL, which MuJoCo's pictures need. The message says
-            how to install it.
+        SimulationError: This machine has no OpenGL, which MuJoCo's pictures need.
 
     Example:
         >>> scene = Scene(visuals=True)
@@ -125,32 +121,26 @@ class Camera:
         height = max(1, round(shrink * config.height))
         x, y, z = DIRECTION
         turns = 0.25 * np.pi * np.array([0, 1, -1, 2, -2, 3, -3, 4])
-        around = [
+        directions = [
             (x * np.cos(turn) + z * np.sin(turn), y, z * np.cos(turn) - x * np.sin(turn))
             for turn in turns
         ]
-        surveys = [
-            View(
-                tuple((_SURVEY_DISTANCE / np.linalg.norm(way) * np.array(way)).tolist()),
-                (0.0, 0.0, 0.0),
-                40.0,
-                width,
-                height,
-            )
-            for way in (around if config.direction is None else [config.direction])
-        ]
+        surveys = list[View]()
+        for direction in directions if config.direction is None else [config.direction]:
+            x, y, z = (_SURVEY_DISTANCE / np.linalg.norm(direction) * np.array(direction)).tolist()
+            surveys.append(View((x, y, z), (0.0, 0.0, 0.0), 40.0, width, height))
         with self.painter.object_hidden():
             survey = max(surveys, key=self._contacts_seen)  # the first of the best
         _, depth = self.painter.shoot(survey)
-        drawn = survey.unproject(depth)[depth < BACKGROUND_DEPTH]
+        points = survey.unproject(depth)[depth < BACKGROUND_DEPTH]
         if config.arrows > 0.0:
             ends = config.arrows * np.vstack([np.eye(3), -np.eye(3)])
-            drawn = np.vstack([drawn, self._scene.look().position + ends])
+            points = np.vstack([points, self._scene.look().position + ends])
         self.view = View(
             survey.eye, survey.target, config.field_of_view, config.width, config.height
         )
-        if len(drawn):
-            self.view = self.view.fitted(drawn, config.margin, config.footer)
+        if len(points):
+            self.view = self.view.fitted(points, config.margin, config.footer)
         self._fitted_to = self._scene.core
 
     def _contacts_seen(self, view: View) -> int:
@@ -161,8 +151,8 @@ class Camera:
         _, depth = self.painter.shoot(view)
         columns, rows = view.project(points).astype(int).T
         inside = (columns >= 0) & (columns < view.width) & (rows >= 0) & (rows < view.height)
-        before = view.unproject(depth)[rows[inside], columns[inside]]
-        return int((view.depth(points[inside]) - view.depth(before) < _TIP).sum())
+        front = view.unproject(depth)[rows[inside], columns[inside]]
+        return int((view.depth(points[inside]) - view.depth(front) < _TIP).sum())
 
     def capture(self, annotation: Annotation | None = None) -> np.ndarray:
         """Take a picture of the current scene, (height, width, 3) uint8.
@@ -178,7 +168,7 @@ class Camera:
         opacity = self.config.object_opacity
         factor = self.config.supersampling
         picture, depth = self.painter.shoot(self.view, factor, shadows=True)
-        if opacity < 1.0:  # renderers have no opacity: blend pictures with and without the object
+        if opacity < 1.0:  # renderers have none: blend pictures with and without the object
             with self.painter.object_hidden():  # without shadows, which saves a tenth of the time
                 behind, behind_depth = self.painter.shoot(self.view, factor)
             mixed = Image.blend(behind, picture, opacity)

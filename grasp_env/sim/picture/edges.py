@@ -26,18 +26,16 @@ def smooth_edges(picture: Image.Image) -> Image.Image:
     low = np.minimum.reduce(around[::2])
     high = np.maximum.reduce(around[::2])  # over the corners and the middle
     row, column = np.nonzero(high - low >= _CONTRAST)  # the rest is computed for these pixels only
-    nw, up, ne, left, _, right, sw, down, se = (each[row, column].astype(float) for each in around)
+    nw, up, ne, left, _, right, sw, down, se = (view[row, column].astype(float) for view in around)
     across = (sw + 2.0 * down + se) - (nw + 2.0 * up + ne)
     along = (nw + 2.0 * left + sw) - (ne + 2.0 * right + se)
     least = np.minimum(np.abs(across), np.abs(along)) + np.maximum((nw + ne + sw + se) / 32.0, 2.0)
-    way = np.clip(np.array([along, across]) / least, -_LONGEST, _LONGEST)  # rows, columns
+    edge = np.clip(np.array([along, across]) / least, -_LONGEST, _LONGEST)  # rows, columns
     pixels = image.reshape(-1, 3)
 
-    def sample(part: float) -> Array:
-        """Return bilinear values (n, 3) at this distance along the edge; the border extends
-        outside.
-        """
-        y, x = np.clip([row, column] + part * way, 0.0, [[height - 1.0], [width - 1.0]])
+    def sample(share: float) -> Array:
+        """Return bilinear values (n, 3) at this share of the edge; the border extends outside."""
+        y, x = np.clip([row, column] + share * edge, 0.0, [[height - 1.0], [width - 1.0]])
         r = y.astype(int)
         c = x.astype(int)
         v = (y - r)[:, None]
@@ -45,9 +43,9 @@ def smooth_edges(picture: Image.Image) -> Image.Image:
         at = r * width + c
         right = (c < width - 1).astype(int)
         down = np.where(r < height - 1, width, 0)
-        above = (1.0 - u) * pixels.take(at, axis=0) + u * pixels.take(at + right, axis=0)
-        below = (1.0 - u) * pixels.take(at + down, axis=0) + u * pixels.take(
-            at + down + right, axis=0
+        above, below = (
+            (1.0 - u) * pixels.take(start, axis=0) + u * pixels.take(start + right, axis=0)
+            for start in (at, at + down)
         )
         return (1.0 - v) * above + v * below
 

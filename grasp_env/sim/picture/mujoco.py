@@ -26,28 +26,20 @@ from grasp_env.sim.picture.painter import Painter, before_background
 from grasp_env.sim.picture.view import FAR_PLANE, NEAR_PLANE, View
 from grasp_env.sim.scene import Scene
 
-# modules of MuJoCo that make an OpenGL context, as MUJOCO_GL names them
-_BACKENDS = (
-    "egl",
-    "osmesa",
-    "glfw",
-    "cgl",
-)
-_MOST_SHAPES = 10_000
+_BACKENDS = ("egl", "osmesa", "glfw", "cgl")  # modules of MuJoCo that make an OpenGL context
+_MAX_SHAPES = 10_000
 
 
 class MujocoPainter(Painter):
-    """Renderer with a model of its own, which has only the visual shapes of hand and object; see
-    `Painter`.
-    """
+    """Renderer with a model of its own of the visual shapes; see `Painter`."""
 
     def __init__(self, scene: Scene | None = None) -> None:
         self._scene = scene
         self._drawn: object = None  # `scene.core` for which the model was built
         self._option = mujoco.MjvOption()
-        self._context = _gl_context()
-        self._brushes: list[Any] = []  # at most one: MuJoCo's OpenGL objects of the current model
-        self._clean = weakref.finalize(self, _free, self._context, self._brushes)
+        self._gl = _gl_context()
+        self._contexts: list[Any] = []  # at most one: MuJoCo's OpenGL objects of the current model
+        self._clean = weakref.finalize(self, _free, self._gl, self._contexts)
         self._clean.atexit = False  # MuJoCo's own clean-up may run first
 
     @classmethod
@@ -58,22 +50,22 @@ class MujocoPainter(Painter):
     @classmethod
     def of_hand(cls, hand: HandDescription, angles: Array) -> MujocoPainter:
         """See `Painter`."""
-        made = cls()
-        made._build(hand)
-        made._place(angles)
-        return made
+        painter = cls()
+        painter._build(hand)
+        painter._place(angles)
+        return painter
 
     def shoot(
         self, view: View, factor: int = 1, shadows: bool = False
     ) -> tuple[Image.Image, Array]:
         """See `Painter`."""
-        self._context.make_current()
+        self._gl.make_current()
         self._follow()
         width = factor * view.width
         height = factor * view.height
-        (brush,), scene = self._brushes, self._shapes
-        if (brush.offWidth, brush.offHeight) != (width, height):
-            mujoco.mjr_resizeOffscreen(width, height, brush)
+        (context,), scene = self._contexts, self._shapes
+        if (context.offWidth, context.offHeight) != (width, height):
+            mujoco.mjr_resizeOffscreen(width, height, context)
         mujoco.mjv_updateScene(
             self._model,
             self._data,
@@ -97,8 +89,8 @@ class MujocoPainter(Painter):
         pixels = np.empty((height, width, 3), np.uint8)
         depth = np.empty((height, width), np.float32)
         frame = mujoco.MjrRect(0, 0, width, height)
-        mujoco.mjr_render(frame, scene, brush)
-        mujoco.mjr_readPixels(pixels, depth, frame, brush)
+        mujoco.mjr_render(frame, scene, context)
+        mujoco.mjr_readPixels(pixels, depth, frame, context)
         # OpenGL's rows go upwards
         return before_background(np.ascontiguousarray(pixels[::-1]), depth[::-1])
 
@@ -143,41 +135,32 @@ class MujocoPainter(Painter):
             )
         self._model = spec.compile()
         self._data = mujoco.MjData(self._model)
-        joints = [
-            self._model.joint(link_name(index)).qposadr[0] for index in range(hand.joint_count)
-        ]
-        self._order = np.array([*joints, *range(hand.joint_count, self._model.nq)])
-        self._shapes = mujoco.MjvScene(self._model, _MOST_SHAPES)
-        self._context.make_current()
-        while self._brushes:
-            self._brushes.pop().free()
-        self._brushes.append(
-            mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
-        )
-        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._brushes[0])
+        count = hand.joint_count
+        joints = [self._model.joint(link_name(index)).qposadr[0] for index in range(count)]
+        self._order = np.array([*joints, *range(count, self._model.nq)])
+        self._shapes = mujoco.MjvScene(self._model, _MAX_SHAPES)
+        self._gl.make_current()
+        while self._contexts:
+            self._contexts.pop().free()
+        context = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
+        self._contexts.append(context)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, context)
 
     def _place(self, state: Array) -> None:
         """Set joint angles, then position and quaternion (w first) of the object, if any."""
-        # after divergence the place does not matter
-        self._data.qpos[self._order] = np.nan_to_num(state)
+        self._data.qpos[self._order] = np.nan_to_num(state)  # not finite after divergence
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
 
 
 def _gl_context() -> Any:
-    """Make an OpenGL context without a window, with the module that MUJOCO_GL names or else the
-    best available one.
-    """
+    """Make an OpenGL context without a window, by the module in MUJOCO_GL or the best one."""
     name = os.environ.get("MUJOCO_GL", "").strip().lower()
     if name not in _BACKENDS:
-        windowless = "egl" if find_library("EGL") or not find_library("OSMesa") else "osmesa"
-        name = (
-            windowless
-            if sys.platform.startswith("linux")
-            else "cgl"
-            if sys.platform == "darwin"
-            else "glfw"
-        )
+        if sys.platform.startswith("linux"):
+            name = "egl" if find_library("EGL") or not find_library("OSMesa") else "osmesa"
+        else:
+            name = "cgl" if sys.platform == "darwin" else "glfw"
     # PyTorch for CUDA installs triton; imported after Mesa's software renderer, its other version
     # of LLVM crashes Python
     if find_spec("triton"):
@@ -193,8 +176,8 @@ def _gl_context() -> Any:
     return context
 
 
-def _free(context: Any, brushes: list[Any]) -> None:
-    context.make_current()
-    while brushes:
-        brushes.pop().free()
-    context.free()
+def _free(gl: Any, contexts: list[Any]) -> None:
+    gl.make_current()
+    while contexts:
+        contexts.pop().free()
+    gl.free()

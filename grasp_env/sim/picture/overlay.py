@@ -33,12 +33,12 @@ _TURN_RADIUS, _LEAST_TURN = 0.03, 0.15  # radius of the moment's arc [m]; least 
 
 
 def draw(picture: Image.Image, annotation: Annotation, view: View) -> Image.Image:
-    """Return the picture with an annotation over it.
+    """Return a copy of the RGB picture, taken with `view`, with an annotation over it.
 
     A force arrow ends at its contact and its length is `scale` times the force, so that a force
     inside its friction cone is drawn inside the drawn cone. The wrench's force starts at `center`.
     Its moment is an arc about the moment's axis, by `turn` times the moment. Bodies in front hide
-    nothing. The RGB picture, taken with `view`, is not changed.
+    nothing.
     """
     veiled = picture.point(lambda value: 255.0 - (1.0 - VEIL) * (255.0 - value))
     view = replace(view, width=_FINE * view.width, height=_FINE * view.height)
@@ -47,19 +47,16 @@ def draw(picture: Image.Image, annotation: Annotation, view: View) -> Image.Imag
     for i in np.argsort(-view.depth(annotation.points), kind="stable").tolist():
         _draw_contact(pen, view, annotation, i)
     _draw_wrench(pen, view, annotation)
-    words = _draw_legend(pen, view, annotation, *picture.size)
+    texts = _draw_legend(pen, view, annotation, *picture.size)
     picture = fine.reduce(_FINE)  # pixels that are not drawn on keep their value
-    text = ImageDraw.Draw(picture)
-    for word in words:
-        text.text(**word)
+    text_pen = ImageDraw.Draw(picture)
+    for options in texts:
+        text_pen.text(**options)
     return picture
 
 
 class _Pen:
-    """Pen on an enlarged picture.
-
-    Widths and radii are for a picture of 480 delivered pixels and scale with its size.
-    """
+    """Pen on an enlarged picture; widths and radii are for 480 pixels and scale with its size."""
 
     def __init__(self, fine: Image.Image) -> None:
         self.unit = min(fine.size) / 480.0
@@ -80,18 +77,15 @@ class _Pen:
         self._pen.circle(center.tolist(), outside, outline=color, width=wide)
 
     def panel(self, box: Array) -> None:
-        """Draw a light plate (left, top, right, bottom) with round corners as background of text."""
+        """Draw a light plate (left, top, right, bottom) as background of text."""
         self._pen.rounded_rectangle(box.tolist(), 6.0 * self.unit, (*_WHITE, 205))
 
     def arrow(self, tail: Array, tip: Array, color: Color, width: float) -> None:
-        """Draw an arrow with a light rim.
-
-        Short ones get a smaller head; those below a pixel are left out.
-        """
+        """Draw an arrow with a light rim; short ones get a smaller head."""
         length = float(np.hypot(*(tip - tail)))
-        wide = width * self.unit
         if length < _FINE:
             return
+        wide = width * self.unit
         along = (tip - tail) / length
         head = min(3.6 * wide, 0.75 * length)
         half = 0.5 * wide * min(1.0, length / (2.0 * wide))
@@ -108,8 +102,9 @@ def _draw_contact(pen: _Pen, view: View, annotation: Annotation, i: int) -> None
     normal = annotation.normals[i]
     friction = annotation.friction[i]
     if not annotation.active[i]:
-        for color, width in (((*_WHITE, 220), 4.6), (_INACTIVE, 2.0)):
-            pen.ring(view.project(point[None])[0], 6.0, color, width)
+        center = view.project(point[None])[0]
+        pen.ring(center, 6.0, (*_WHITE, 220), 4.6)
+        pen.ring(center, 6.0, _INACTIVE, 2.0)
         return
     length = CONE_LENGTH / math.hypot(1.0, friction)
     across = np.linalg.svd(normal[None])[2][1:]  # two directions in the tangent plane
@@ -118,7 +113,7 @@ def _draw_contact(pen: _Pen, view: View, annotation: Annotation, i: int) -> None
     pixels = view.project(np.vstack([rim, point, tails]))
     mouth = pixels[:-3]
     cone = pixels[:-2]
-    (place, tail, measured) = pixels[-3:]
+    contact, tail, measured = pixels[-3:]
     # convex hull: the farthest point in each direction
     outline = cone[np.argmax(cone @ _circle(64).T, axis=0)]
     # darker than the links
@@ -126,42 +121,38 @@ def _draw_contact(pen: _Pen, view: View, annotation: Annotation, i: int) -> None
     for shape, fill, edge in ((outline, 70, 170), (mouth, 45, 190)):
         pen.polygon(shape, (*color, fill))
         pen.line(shape, (*color, edge), 1.1)
-    pen.arrow(tail, place, color, 5.0)
-    pen.line(np.array([measured, place]), _INK, 1.4)
-    pen.disc(place, 3.6, _WHITE)
-    pen.disc(place, 2.6, color)
+    pen.arrow(tail, contact, color, 5.0)
+    pen.line(np.array([measured, contact]), _INK, 1.4)
+    pen.disc(contact, 3.6, _WHITE)
+    pen.disc(contact, 2.6, color)
 
 
 def _draw_wrench(pen: _Pen, view: View, annotation: Annotation) -> None:
+    if not annotation.wrench.any():
+        return
     center = annotation.center
     force = annotation.wrench[:3]
     moment = annotation.wrench[3:]
-    if not annotation.wrench.any():
-        return
     turn = annotation.turn * float(np.linalg.norm(moment))
     if turn > _LEAST_TURN:
         axis = moment / np.linalg.norm(moment)
         first = np.cross(view.axes[1] if abs(axis @ view.axes[1]) < 0.9 else view.axes[0], axis)
         first /= np.linalg.norm(first)
         angles = np.linspace(0.0, min(turn, 1.1 * LONGEST_TURN), 28)
-        circle = np.column_stack([np.cos(angles), np.sin(angles)]) @ np.array(
-            [first, np.cross(axis, first)]
-        )
+        plane = np.array([first, np.cross(axis, first)])
+        circle = np.column_stack([np.cos(angles), np.sin(angles)]) @ plane
         arc = view.project(center + _TURN_RADIUS * circle)
         pen.line(arc[:-3], (*_WHITE, 220), 5.0)
         pen.line(arc[:-3], WRENCH_COLOR, 2.6)
         pen.arrow(arc[-7], arc[-1], WRENCH_COLOR, 3.4)
-    start, end = view.project(
-        np.array([center, center + WRENCH_STRETCH * annotation.scale * force])
-    )
+    tip = center + WRENCH_STRETCH * annotation.scale * force
+    start, end = view.project(np.array([center, tip]))
     pen.arrow(start, end, WRENCH_COLOR, 5.0)
     pen.disc(start, 3.4, WRENCH_COLOR)
 
 
 def room(width: int, height: int) -> tuple[float, float]:
-    """Return margin and footer of a camera, as shares of the height, that leave room for the text
-    of a picture.
-    """
+    """Return a camera's margin and footer, shares of the height, that leave room for text."""
     pad, text, small = _sizes(width, height)
     above = pad + _LINE * text
     below = 5.1 * pad + _LINE * (text + 3.0 * small)
@@ -169,7 +160,7 @@ def room(width: int, height: int) -> tuple[float, float]:
 
 
 def _sizes(width: int, height: int) -> tuple[float, int, int]:
-    """Return the padding around text, and the sizes of text and of small text, in delivered pixels."""
+    """Return the padding around text and the sizes of normal and small text [delivered pixels]."""
     unit = min(width, height) / 480.0
     return 8.0 * unit, max(10, round(14.0 * unit)), max(9, round(13.0 * unit))
 
@@ -177,13 +168,12 @@ def _sizes(width: int, height: int) -> tuple[float, int, int]:
 def _draw_legend(
     pen: _Pen, view: View, annotation: Annotation, width: int, height: int
 ) -> list[dict[str, Any]]:
-    """Draw the band at the bottom and its icons, unless the picture is too small for it; return the
-    texts of the picture.
+    """Draw the band at the bottom and its icons; return the texts, arguments of `ImageDraw.text`.
 
-    The texts are arguments of `ImageDraw.text`. Positions do not depend on the numbers, so that
-    nothing jumps in a film.
+    Small pictures have no text. Positions do not depend on the numbers, so that nothing jumps in a
+    film.
     """
-    words: list[dict[str, Any]] = []
+    texts: list[dict[str, Any]] = []
     pad, normal, small = _sizes(width, height)
     left = 2.0 * pad
     wide = width - 4.0 * pad
@@ -194,20 +184,13 @@ def _draw_legend(
     numbers = step + _LINE * normal + 0.6 * pad if annotation.lines else 0.0
     band = numbers + step * len(legend) / len(columns)
     if band + 3.0 * pad > _HIGHEST * height:
-        return words
+        return texts
 
     def write(
         x: float, y: float, text: str, color: Color = _INK, size: int = small, **options: Any
     ) -> None:
-        words.append(
-            {
-                "xy": (round(x), round(y)),
-                "text": text,
-                "fill": color,
-                "font": _font(size),
-                **options,
-            }
-        )
+        xy = round(x), round(y)
+        texts.append({"xy": xy, "text": text, "fill": color, "font": _font(size), **options})
 
     top = height - 2.0 * pad - band
     pen.panel(_FINE * np.array([pad, top - pad, width - pad, height - pad]))
@@ -225,24 +208,15 @@ def _draw_legend(
         write(width - left, pad, annotation.hand, _FAINT, normal, anchor="ra")
     write(left, pad, annotation.title, _INK, normal)
     if annotation.alarm:  # over the hand
-        write(
-            left,
-            pad + _LINE * normal,
-            annotation.alarm,
-            _ALARM,
-            normal,
-            stroke_width=2,
-            stroke_fill=_WHITE,
-        )
-    return words
+        y = pad + _LINE * normal
+        write(left, y, annotation.alarm, _ALARM, normal, stroke_width=2, stroke_fill=_WHITE)
+    return texts
 
 
 def _legend(
     pen: _Pen, view: View, annotation: Annotation
 ) -> list[tuple[str, float, Callable[[Array], None]]]:
-    """Return entries: text, width of the icon, and a function that draws it to the right of a
-    point. The first three are of fingers.
-    """
+    """Return for each entry text, icon width and a function to draw the icon right of a point."""
     unit = pen.unit
     right = np.array([1.0, 0.0])
     stretched = WRENCH_STRETCH * annotation.scale
@@ -250,7 +224,7 @@ def _legend(
     wrench = round_down(_BAR / stretched)
     lengths = [0.0, _BAR, newtons * annotation.scale, wrench * stretched]
     ends = view.project(annotation.center + np.outer(lengths, view.axes[0]))[:, 0]
-    longest, bar, longer = (ends[1:, None] - ends[0]) * right
+    longest, bar, wrench_bar = (ends[1:, None] - ends[0]) * right
     moment = round_down(0.5 * math.pi / annotation.turn)
     x, y = (turned(np.linspace(0.0, moment * annotation.turn, 12)) for turned in (np.cos, np.sin))
     arc = 20.0 * unit * np.column_stack([x - x[-1], 0.5 * y[-1] - y])
@@ -264,21 +238,19 @@ def _legend(
         pen.line(at + arc[:-3], WRENCH_COLOR, 2.2)
         pen.arrow(at + arc[-6], at + arc[-1], WRENCH_COLOR, 2.2)
 
+    def draw_wrench(at: Array) -> None:
+        pen.arrow(at, at + wrench_bar, WRENCH_COLOR, 3.2)
+
+    def draw_ring(at: Array) -> None:
+        pen.ring(at + 6.0 * unit * right, 4.5, _INACTIVE, 1.8)
+
     return [
         (f"commanded {newtons:g} N", longest[0], lambda at: pen.arrow(at, at + bar, _INK, 3.2)),
         ("measured", longest[0], lambda at: pen.line(np.array([at, at + bar]), _INK, 1.4)),
         ("friction cone", 18.0 * unit, draw_cone),
-        (
-            f"wrench {wrench:g} N",
-            longest[0],
-            lambda at: pen.arrow(at, at + longer, WRENCH_COLOR, 3.2),
-        ),
+        (f"wrench {wrench:g} N", longest[0], draw_wrench),
         (f"moment {moment:g} N m", longest[0], draw_arc),
-        (
-            "contact lost",
-            18.0 * unit,
-            lambda at: pen.ring(at + 6.0 * unit * right, 4.5, _INACTIVE, 1.8),
-        ),
+        ("contact lost", 18.0 * unit, draw_ring),
     ]
 
 

@@ -21,11 +21,11 @@ LIGHT = (0.5, 1.0, 0.6)  # direction towards the light, world frame
 
 
 class Painter(Protocol):
-    """Renderer of hand and object in their current poses; `Engine.painter` names its class."""
+    """Renderer of hand and object in their poses; `EngineSettings.painter` names its class."""
 
     @classmethod
     def of_scene(cls, scene: Scene) -> Painter:
-        """Make a painter of a scene, which follows what the scene loads later."""
+        """Make a painter of a scene and of what it loads later."""
         ...
 
     @classmethod
@@ -36,8 +36,7 @@ class Painter(Protocol):
     def shoot(
         self, view: View, factor: int = 1, shadows: bool = False
     ) -> tuple[Image.Image, Array]:
-        """Render hand and object before a light background; return the picture and its OpenGL
-        depth.
+        """Render hand and object before a light background; return the picture and OpenGL's depth.
 
         Both have `factor` pixels per pixel of the view along each side.
 
@@ -47,32 +46,27 @@ class Painter(Protocol):
         ...
 
     def object_hidden(self) -> AbstractContextManager[None]:
-        """Hide the object in pictures while the block runs; the physics does not change."""
+        """Hide the object in pictures while the block runs."""
         ...
 
     def show(self, annotation: Annotation) -> None:
-        """Draw the forces of the fingers and of the wrench as lines in the window, for engines that
-        have one.
-        """
+        """Draw the fingers' forces and the wrench's as lines in the window, if there is one."""
 
     def close(self) -> None:
         """Free the renderer, but not the scene."""
 
 
 def before_background(pixels: Any, depth: Any) -> tuple[Image.Image, Array]:
-    """Put pixels (H, W, 3) before the background, which is visible where the depth (H, W) is that
-    of nothing.
-    """
+    """Put pixels (H, W, 3) before the background, which their depth (H, W) shows."""
     height, width = depth.shape
-    picture = Image.fromarray(pixels)
-    return Image.composite(
-        picture, _background(width, height), Image.fromarray(depth < BACKGROUND_DEPTH)
-    ), depth
+    mask = Image.fromarray(depth < BACKGROUND_DEPTH)
+    return Image.composite(Image.fromarray(pixels), _background(width, height), mask), depth
 
 
 def lines_of(annotation: Annotation) -> list[tuple[Array, Array, Array]]:
-    """Return start [m], end [m] and colour of a line for each finger, without length if inactive,
-    and of one for the wrench's force.
+    """Return start [m], end [m] and colour of a line for each finger's force and the wrench's.
+
+    Lines of inactive fingers have no length.
     """
     starts = annotation.points - annotation.scale * annotation.active[:, None] * annotation.forces
     tip = annotation.center + WRENCH_STRETCH * annotation.scale * annotation.wrench[:3]
@@ -82,7 +76,7 @@ def lines_of(annotation: Annotation) -> list[tuple[Array, Array, Array]]:
 
 @lru_cache(maxsize=4)
 def _background(width: int, height: int) -> Image.Image:
-    """Make the background, nearly white at the top and light grey at the bottom."""
+    # nearly white at the top and light grey at the bottom
     return ImageOps.colorize(
         Image.linear_gradient("L").resize((width, height)), (253, 253, 254), (226, 231, 238)
     )

@@ -25,18 +25,18 @@ _TIP = (0.90, 0.25, 0.15)
 _SOLID = (0.62, 0.70, 0.80)
 _PALM = (0.45, 0.50, 0.58)
 _FINE = 2  # rendered pixels per delivered pixel along each side
-_ROOM = 0.04  # share of the picture left free around the hand or mesh
-# size to which a mesh is scaled for its picture, as a camera cannot come nearer to small ones [m]
-_DRAWN = 0.2
+_MARGIN = 0.04  # share of the picture left free around the hand or mesh
+_MESH_SIZE = (
+    0.2  # size to which meshes are scaled, as the camera cannot come near to small ones [m]
+)
 _NOWHERE = (0.0, 0.0, 0.0)
 
 
 def portrait(hand: HandDescription, size: int = 640, angles: Array | None = None) -> np.ndarray:
-    """Return a picture (size, 2 size, 3) uint8 of a hand's visual shapes, and of its collision
-    shapes with red fingertips.
+    """Return a picture (size, 2 size, 3) uint8 of a hand's visual and its collision shapes.
 
-    The palm is below the fingertips, which close towards the camera, as far as a hand has such
-    sides. The joints are at `angles` (M,) [rad], or at `home`.
+    Fingertips are red among the collision shapes. If possible the palm is below the fingertips,
+    which close towards the camera. The joints are at `angles` (M,) [rad], or at `home`.
     """
     posture = np.array(hand.home) if angles is None else angles
     upright = hand.moved((0.0, 0.0, 0.0), roll_pitch_yaw(_upright(hand, posture)))
@@ -46,23 +46,21 @@ def portrait(hand: HandDescription, size: int = 640, angles: Array | None = None
     for link, rotation, origin in zip(upright.links, rotations, origins, strict=True):
         points += [outline(shape) @ rotation.T + origin for shape in link.collision]
     points = np.vstack([*points, kinematics.tips(posture), origins])
-    view = View((0.45, 0.35, 1.0), (0.0, 0.0, 0.0), 20.0, size, size).fitted(points, _ROOM, _ROOM)
-    return np.hstack([_shot(each, posture, view) for each in (upright, _solid(upright))])
+    view = View((0.45, 0.35, 1.0), (0.0, 0.0, 0.0), 20.0, size, size).fitted(
+        points, _MARGIN, _MARGIN
+    )
+    return np.hstack([_shot(look, posture, view) for look in (upright, _solid(upright))])
 
 
 def mesh_portrait(mesh: Mesh, size: int = 640) -> np.ndarray:
-    """Return a picture (size, 2 size, 3) uint8 of a mesh, with its y axis up, and of its convex
-    pieces, each in a colour of its own.
-    """
-    scale = _DRAWN / max(mesh.extent)
-    pieces = [
-        Geometry(
-            "hull", (), color=_color(index), corners=tuple(map(tuple, (scale * piece).tolist()))
-        )
-        for index, piece in enumerate(mesh.pieces)
-    ]
+    """Return a picture (size, 2 size, 3) uint8 of a mesh, y up, and of its pieces in colours."""
+    scale = _MESH_SIZE / max(mesh.extent)
+    pieces = list[Geometry]()
+    for index, piece in enumerate(mesh.pieces):
+        corners = tuple(map(tuple, (scale * piece).tolist()))
+        pieces.append(Geometry("hull", (), color=_color(index), corners=corners))
     points = scale * np.vstack([mesh.vertices, *mesh.pieces])
-    view = View((0.45, 0.35, 1.0), _NOWHERE, 20.0, size, size).fitted(points, _ROOM, _ROOM)
+    view = View((0.45, 0.35, 1.0), _NOWHERE, 20.0, size, size).fitted(points, _MARGIN, _MARGIN)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "mesh.obj")
         file.write_text(obj_text([(scale * mesh.vertices, mesh.faces)]), encoding="ascii")
@@ -74,22 +72,19 @@ def mesh_portrait(mesh: Mesh, size: int = 640) -> np.ndarray:
 
 def _color(index: int) -> Vector3:
     """Return a colour; hues are a golden section apart, so that consecutive ones differ."""
-    return hsv_to_rgb(
-        0.08 + 0.618034 * index, (0.55, 0.35, 0.7)[index % 3], (0.9, 0.95, 0.75)[index % 3]
-    )
+    saturation, value = ((0.55, 0.9), (0.35, 0.95), (0.7, 0.75))[index % 3]
+    return hsv_to_rgb(0.08 + 0.618034 * index, saturation, value)
 
 
 def _lookalike(shapes: tuple[Geometry, ...]) -> HandDescription:
-    """Make a hand whose only visual shapes are these, as painters draw hands."""
+    """Make a hand with only these visual shapes, as painters draw hands."""
     body = 1.0, _NOWHERE, (1.0, 0.0, 0.0, 1.0, 0.0, 1.0)  # mass, centre, inertia
     link = Link("unseen", "palm", _NOWHERE, _NOWHERE, (0.0, 0.0, 1.0), -1.0, 1.0, 1.0, *body)
-    return HandDescription(
-        "mesh", Palm(visual=shapes), (link,), (Fingertip("tip", "unseen", _NOWHERE, 1.0),)
-    )
+    tip = Fingertip("tip", "unseen", _NOWHERE, 1.0)
+    return HandDescription("mesh", Palm(visual=shapes), (link,), (tip,))
 
 
 def _shot(hand: HandDescription, angles: Array, view: View) -> np.ndarray:
-    """Take a picture of a hand in a posture, (H, W, 3) uint8."""
     with closing(class_of(engine_of(), "painter").of_hand(hand, angles)) as painter:
         return np.array(painter.shoot(view, _FINE, shadows=True)[0].reduce(_FINE))
 
@@ -98,27 +93,23 @@ def _solid(hand: HandDescription) -> HandDescription:
     """Return the hand with its collision shapes as its visual shapes."""
     tips = {("sphere", tip.link, tip.center) for tip in hand.fingertips}
 
-    def body(part: Link | Palm, color: Vector3) -> tuple[Geometry, ...]:
+    def colored(body: Link | Palm, color: Vector3) -> tuple[Geometry, ...]:
         return tuple(
-            replace(shape, color=_TIP if (shape.kind, part.name, shape.origin) in tips else color)
-            for shape in part.collision
+            replace(shape, color=_TIP if (shape.kind, body.name, shape.origin) in tips else color)
+            for shape in body.collision
         )
 
-    links = tuple(replace(link, visual=body(link, _SOLID)) for link in hand.links)
-    return replace(hand, palm=replace(hand.palm, visual=body(hand.palm, _PALM)), links=links)
+    links = tuple(replace(link, visual=colored(link, _SOLID)) for link in hand.links)
+    return replace(hand, palm=replace(hand.palm, visual=colored(hand.palm, _PALM)), links=links)
 
 
 def _upright(hand: HandDescription, angles: Array) -> Array:
-    """Return a rotation (3, 3) that brings the hand's tips above its palm, along y, and its closing
-    direction to z.
-    """
+    """Return a rotation (3, 3) with the tips above the palm, along y, that close towards z."""
     kinematics = HandKinematics(hand)
     tips = kinematics.tips(angles)
-    solid = [outline(shape) for shape in hand.palm.collision]
-    up = _first(
-        [tips.mean(axis=0) - (np.vstack(solid).mean(axis=0) if solid else 0.0), np.eye(3)[1]],
-        np.zeros(3),
-    )
+    points = [outline(shape) for shape in hand.palm.collision]
+    palm = np.vstack(points).mean(axis=0) if points else 0.0
+    up = _first([tips.mean(axis=0) - palm, np.eye(3)[1]], np.zeros(3))
     # fingers close towards the farther limit of each joint
     far = np.where(
         np.abs(kinematics.upper) > np.abs(kinematics.lower), kinematics.upper, kinematics.lower
@@ -129,9 +120,7 @@ def _upright(hand: HandDescription, angles: Array) -> Array:
 
 
 def _first(vectors: list[Array], normal: Array) -> Array:
-    """Return the unit direction, perpendicular to the normal, of the first vector that is not along
-    it.
-    """
+    """Return the unit direction across the normal of the first vector that is not along it."""
     across = (vector - (vector @ normal) * normal for vector in vectors)
     return next(
         vector / np.linalg.norm(vector) for vector in across if np.linalg.norm(vector) > 1e-6

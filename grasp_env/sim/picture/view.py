@@ -1,6 +1,4 @@
-"""Geometry of a camera: projection of points to pixels, and the pose in which all points are in the
-picture.
-"""
+"""Geometry of a camera: projection to pixels, and the pose for which points fill the picture."""
 
 from __future__ import annotations
 
@@ -54,36 +52,28 @@ class View:
         )
 
     def depth(self, points: ArrayLike) -> Array:
-        """Return the distance in front of the camera along its axis [m], (N,), of points (N, 3)
-        [m], world frame.
-        """
+        """Return the distances in front of the camera [m], (N,), of points (N, 3) [m], world frame."""
         return (self.eye - np.asarray(points, dtype=float)) @ self.axes[2]
 
     def project(self, points: ArrayLike) -> Array:
-        """Return pixels (N, 2), right and down from the top left corner of the picture, inside it
-        or not, of points (N, 3) [m].
+        """Return the pixels (N, 2), right and down from the top left corner, of points (N, 3) [m].
 
-        Points behind the camera are treated as just in front of it.
+        They may be outside the picture. Points behind the camera are treated as just in front.
         """
         local = (np.asarray(points, dtype=float) - self.eye) @ self.axes.T
-        part = local[:, :2] / (np.maximum(-local[:, 2:], NEAR_PLANE) * self.slope)
-        return (0.5 + part * (0.5, -0.5)) * (self.width, self.height)
+        shares = local[:, :2] / (np.maximum(-local[:, 2:], NEAR_PLANE) * self.slope)
+        return (0.5 + shares * (0.5, -0.5)) * (self.width, self.height)
 
     def unproject(self, depth: Array) -> Array:
-        """Return the world points (H, W, 3) [m] of the pixel centres of OpenGL's depth buffer (H,
-        W).
-        """
+        """Return the points (H, W, 3) [m], world frame, of OpenGL's depth buffer (H, W)."""
         along = FAR_PLANE * NEAR_PLANE / (FAR_PLANE - (FAR_PLANE - NEAR_PLANE) * depth)
         down, right = ((np.arange(count) + 0.5) / count * 2.0 - 1.0 for count in depth.shape)
         across, up = np.meshgrid(self.slope[0] * right, -self.slope[1] * down)
-        return (
-            along[..., None] * np.dstack([across, up, np.full_like(up, -1.0)]) @ self.axes
-            + self.eye
-        )
+        rays = np.dstack([across, up, np.full_like(up, -1.0)])
+        return along[..., None] * rays @ self.axes + self.eye
 
     def fitted(self, points: Array, margin: float, below: float) -> View:
-        """Return the view moved, with the same direction and opening, so that all points (N, 3) [m]
-        are in the picture and centred.
+        """Return the view moved so that all points (N, 3) [m] are in the picture and centred.
 
         The share `margin` of width and height stays free on the left, on the right and above,
         `below` of the height below. Both their sum and `2 margin` are less than 1.
