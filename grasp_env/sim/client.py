@@ -16,6 +16,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
 from grasp_env.errors import MissingExtraError, SimulationError
+from grasp_env.sim.simulator import CLOSED
 
 
 @contextmanager
@@ -109,7 +110,7 @@ class Client:
             SimulationError: The client is closed.
         """
         if self._number is None:
-            raise SimulationError("the simulation is closed; make a new Scene from its config")
+            raise SimulationError(CLOSED)
         return self._number
 
     def close(self) -> None:

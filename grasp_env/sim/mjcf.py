@@ -43,11 +43,17 @@ def scene_mjcf(
     sliding = item.friction * hand.tip_friction
     turning = item.torsional_friction * hand.tip_friction
     meshes: list[str] = []
-    tree = _tree(hand, lambda body: _shapes(body.collision, meshes))
-    shapes = "".join(
-        f'<geom {shape} priority="1" friction="{sliding!r} {turning!r} 0"/>'
-        for shape in _object_shapes(item, meshes)
-    )
+
+    def collision(body: Link | Palm) -> str:
+        return "".join(_shape(shape, meshes) for shape in body.collision if shape.kind != "mesh")
+
+    tree = _tree(hand, collision)
+    if item.shape == "mesh":
+        shapes = [f'type="mesh" {_mesh(piece, meshes)} euler="0 0 0"' for piece in item.pieces]
+    else:
+        shapes = [_object_look(item, meshes)]
+    friction = f'priority="1" friction="{sliding!r} {turning!r} 0"'
+    geoms = "".join(f"<geom {shape} {friction}/>" for shape in shapes)
     return f"""<mujoco><compiler angle="radian" eulerseq="XYZ" inertiafromgeom="false" autolimits="false"/>
 <option timestep="{timestep!r}" gravity="{digits(gravity)}" cone="{engine.cone}" impratio="{engine.impratio!r}"
  integrator="{engine.integrator}" solver="Newton" iterations="{engine.solver_iterations}" tolerance="{engine.tolerance!r}"
@@ -55,7 +61,7 @@ def scene_mjcf(
 <default><geom condim="{4 if turning else 3}" friction="{hand.tip_friction**2!r} 0 0" {soft}/>
 <joint damping="0" armature="0" frictionloss="0" solreflimit="{spring}"/><equality {soft}/></default>
 <asset>{"".join(meshes)}</asset>
-<worldbody>{tree}{_free_body(item, shapes)}</worldbody>
+<worldbody>{tree}{_free_body(item, geoms)}</worldbody>
 <contact>{"".join(f'<exclude body1="{one}" body2="{other}"/>' for one, other in _neighbours(hand))}</contact>
 <equality>{"".join(_couplings(hand))}</equality></mujoco>"""
 
@@ -97,10 +103,22 @@ def _tree(hand: HandDescription, shapes: Callable[[Link | Palm], str]) -> str:
     for index, link in enumerate(hand.links):
         children.setdefault(link.parent, []).append(index)
 
-    def bodies(parent: str) -> str:
-        return "".join(
-            _body(hand.links[index], index, shapes, bodies) for index in children.get(parent, ())
+    def body(index: int) -> str:
+        link = hand.links[index]
+        ixx, ixy, ixz, iyy, iyz, izz = link.inertia
+        limits = 'limited="false"'
+        if math.isfinite(link.lower):
+            limits = f'limited="true" range="{digits((link.lower, link.upper))}"'
+        kind = "slide" if link.sliding else "hinge"
+        return (
+            f'<body name="{link_name(index)}" pos="{digits(link.origin)}" euler="{digits(link.rotation)}">'
+            f'<inertial pos="{digits(link.center)}" mass="{link.mass!r}" fullinertia="{digits((ixx, iyy, izz, ixy, ixz, iyz))}"/>'
+            f'<joint name="{link_name(index)}" type="{kind}" axis="{digits(link.axis)}" {limits}/>'
+            f"{shapes(link)}{bodies(link.name)}</body>"
         )
+
+    def bodies(parent: str) -> str:
+        return "".join(body(index) for index in children.get(parent, ()))
 
     return f'<body name="{PALM}">{shapes(hand.palm)}{bodies(hand.palm.name)}</body>'
 
@@ -108,27 +126,6 @@ def _tree(hand: HandDescription, shapes: Callable[[Link | Palm], str]) -> str:
 def _free_body(item: ObjectDescription, shape: str) -> str:
     inertial = f'<inertial pos="0 0 0" mass="{item.mass!r}" diaginertia="{digits(item.moments)}"/>'
     return f'<body name="{OBJECT}"><freejoint/>{inertial}{shape}</body>'
-
-
-def _body(
-    link: Link, index: int, shapes: Callable[[Link | Palm], str], bodies: Callable[[str], str]
-) -> str:
-    ixx, ixy, ixz, iyy, iyz, izz = link.inertia
-    limits = 'limited="false"'
-    if math.isfinite(link.lower):
-        limits = f'limited="true" range="{digits((link.lower, link.upper))}"'
-    kind = "slide" if link.sliding else "hinge"
-    return (
-        f'<body name="{link_name(index)}" pos="{digits(link.origin)}" euler="{digits(link.rotation)}">'
-        f'<inertial pos="{digits(link.center)}" mass="{link.mass!r}" fullinertia="{digits((ixx, iyy, izz, ixy, ixz, iyz))}"/>'
-        f'<joint name="{link_name(index)}" type="{kind}" axis="{digits(link.axis)}" {limits}/>'
-        f"{shapes(link)}{bodies(link.name)}</body>"
-    )
-
-
-def _shapes(shapes: Iterable[Geometry], meshes: list[str]) -> str:
-    """Return the elements of the collision shapes; those of kind "mesh" do not collide."""
-    return "".join(_shape(shape, meshes) for shape in shapes if shape.kind != "mesh")
 
 
 def _shape(
@@ -148,13 +145,6 @@ def _shape(
     else:  # MuJoCo takes half the length of a cylinder
         form = f'size="{digits((size[0], *(0.5 * length for length in size[1:])))}"'
     return f'<geom type="{kind}" {form} pos="{digits(shape.origin)}" euler="{digits(shape.rotation)}" {look}/>'
-
-
-def _object_shapes(item: ObjectDescription, meshes: list[str]) -> list[str]:
-    """Return type, size and orientation of the object's collision shapes."""
-    if item.shape == "mesh":
-        return [f'type="mesh" {_mesh(piece, meshes)} euler="0 0 0"' for piece in item.pieces]
-    return [_object_look(item, meshes)]
 
 
 def _object_look(item: ObjectDescription, meshes: list[str]) -> str:

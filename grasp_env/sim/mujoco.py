@@ -14,10 +14,9 @@ from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.mjcf import OBJECT, link_name, scene_mjcf
 from grasp_env.sim.mujoco_api import mujoco
 from grasp_env.sim.objects.description import ObjectDescription
-from grasp_env.sim.simulator import Simulator
+from grasp_env.sim.simulator import CLOSED, Simulator
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
-_CLOSED = "the simulation is closed; make a new Scene from its config"
 _MIN_FORCE = 1e-9  # force below which a contact counts as open [N]
 
 
@@ -42,7 +41,7 @@ class Mujoco(Simulator):
     def load(self, config: SceneConfig, angles: Array) -> None:
         """See `Simulator`."""
         if self._closed:
-            raise SimulationError(_CLOSED)
+            raise SimulationError(CLOSED)
         engine = instance(config.engine, MujocoEngine, "engine")
         text = scene_mjcf(self._hand, config.object, config.gravity, 1.0 / engine.rate, engine)
         try:
@@ -156,7 +155,7 @@ class Mujoco(Simulator):
 
     def _open_data(self) -> Any:
         if self.data is None:
-            raise SimulationError(_CLOSED)
+            raise SimulationError(CLOSED)
         return self.data
 
     def _object_rotation(self) -> Array:

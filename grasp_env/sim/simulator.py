@@ -8,6 +8,8 @@ from grasp_env.inputs.arguments import Array
 from grasp_env.sim.config import SceneConfig
 from grasp_env.sim.objects.description import ObjectDescription
 
+CLOSED = "the simulation is closed; make a new Scene from its config"
+
 
 class Simulator(Protocol):
     """One hand and one object in a physics engine, made from the hand, `gui` and `visuals`.

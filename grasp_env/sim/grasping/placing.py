@@ -22,7 +22,7 @@ from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.frames import roll_pitch_yaw
 from grasp_env.sim.hand.kinematics import HandKinematics, motor_force_basis
 from grasp_env.sim.hand.limbs import hand_limbs, touching_pairs
-from grasp_env.sim.objects.description import ObjectDescription
+from grasp_env.sim.objects.description import ObjectDescription, sides_text
 
 # attempts to find a good grasp; attempts to find any, or one that is not weak
 _ATTEMPTS, _MAX_ATTEMPTS = 3, 6
@@ -154,7 +154,7 @@ def _placed(
     note = f", at {min(misdirected, places)} of which no side of the object comes from approach={approach}"
     raise InvalidInputError(
         f"no palm pose was found in which the hand {hand.name!r} grasps the {item.shape} of "
-        f"{' x '.join(f'{side:.3g}' for side in item.extent)} m: its fingers can surround it at {places} places{note if misdirected else ''}; of the "
+        f"{sides_text(item.extent)}: its fingers can surround it at {places} places{note if misdirected else ''}; of the "
         f"candidates tried there {counts or 'none is left'}. {'' if places else _never_facing(hand, faced)}{_wide_joints(hand)}Use an object of another size or "
         "more friction, another seed, or place the hand by `HandDescription.moved` and `home`"
     )
@@ -168,10 +168,11 @@ def _never_facing(hand: HandDescription, faced: NDArray[np.bool_]) -> str:
         for i, j in combinations(range(len(names)), 2)
         if not faced[i, j]
     ]
-    if pairs and not faced.any():
+    if not pairs:
+        return ""
+    if not faced.any():
         return f"No two of its fingers ({', '.join(names)}) face each other with room for the object between them. "
-    text = f"Within their ranges these fingers never face each other: {_listed(pairs, '; ', ' pairs')}. "
-    return text if pairs else ""
+    return f"Within their ranges these fingers never face each other: {_listed(pairs, '; ', ' pairs')}. "
 
 
 def _wide_joints(hand: HandDescription) -> str:
@@ -181,11 +182,12 @@ def _wide_joints(hand: HandDescription) -> str:
         for link in hand.links
         if not link.sliding and not link.upper - link.lower < _WIDE
     ]
-    text = (
+    if not wide:
+        return ""
+    return (
         f"Joints that turn by more than {_WIDE:g} rad are seldom those of a finger: {_listed(wide)}; give the true ranges as "
         "joint_limits={joint: (lower, upper)} to from_urdf. "
     )
-    return text if wide else ""
 
 
 def _listed(names: list[str], between: str = ", ", kind: str = "") -> str:

@@ -18,7 +18,7 @@ from grasp_env.sim.engine import engine_of
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.kinematics import HandKinematics
 from grasp_env.sim.hand.limbs import hand_limbs, touching_pairs
-from grasp_env.sim.objects.description import ObjectDescription
+from grasp_env.sim.objects.description import ObjectDescription, sides_text
 
 FRICTION_MARGIN = 0.85  # share of the friction that a grasp may use
 LARGEST_FORCE = 500.0  # largest total normal force of a grasp in the worst case [N]
@@ -243,9 +243,7 @@ class GraspSearch:
 
     def reason(self) -> str:
         """Explain why `run` found no grasp."""
-        name = (
-            f"the {self.item.shape} of {' x '.join(f'{side:.3g}' for side in self.item.extent)} m"
-        )
+        name = f"the {self.item.shape} of {sides_text(self.item.extent)}"
         if self._gap < _MARGINS[-1][2]:
             return (
                 f"{name} reaches {-1e3 * self._gap:.1f} mm into the palm of the hand {self.hand.name!r}; "

@@ -67,22 +67,18 @@ class Site:
         `palm`, the direction from the palm to the object, into `approach`. None if no such rotation
         was drawn.
         """
-        if approach is None or palm is None:
-            return self._drawn(rng, item)
-        if item.shape in ("sphere", "mesh"):
+        any_side = item.shape in ("sphere", "mesh")
+        if any_side and approach is not None and palm is not None:
             return _random_turn(rng, palm, approach.draw(rng))
         for _ in range(_ROTATIONS):
-            turn = self._drawn(rng, item)
-            if approach.allows(turn @ palm):
+            to = np.zeros(3)
+            to[rng.integers(3)] = 1.0 if rng.random() < 0.5 else -1.0
+            if any_side:
+                to = _directions(rng, 1)[0]
+            turn = _random_turn(rng, self.axis, to)
+            if approach is None or palm is None or approach.allows(turn @ palm):
                 return turn
         return None
-
-    def _drawn(self, rng: np.random.Generator, item: ObjectDescription) -> Array:
-        to = np.zeros(3)
-        to[rng.integers(3)] = 1.0 if rng.random() < 0.5 else -1.0
-        if item.shape in ("sphere", "mesh"):
-            to = _directions(rng, 1)[0]
-        return _random_turn(rng, self.axis, to)
 
 
 def find_sites(
@@ -182,15 +178,14 @@ class _Reach:
         tips = self.tips
         fingers = self.fingers
         centers, pairs, samples = self._between(self.radius + self.radii)
+        rows = np.arange(len(centers))
         for side in (0, 1):
-            good = self._clear(pairs[:, side], samples[:, side], centers)
-            centers = centers[good]
-            pairs = pairs[good]
-            samples = samples[good]
-        faced[pairs[:, 0], pairs[:, 1]] = faced[pairs[:, 1], pairs[:, 0]] = True
-        centers = centers[:_CENTERS]
-        pairs = pairs[:_CENTERS]
-        samples = samples[:_CENTERS]
+            rows = rows[self._clear(pairs[rows, side], samples[rows, side], centers[rows])]
+        faced[pairs[rows, 0], pairs[rows, 1]] = faced[pairs[rows, 1], pairs[rows, 0]] = True
+        rows = rows[:_CENTERS]
+        centers = centers[rows]
+        pairs = pairs[rows]
+        samples = samples[rows]
         distances = np.linalg.norm(tips[None] - centers[:, None, None], axis=3)  # (C, K, N)
         near = np.abs(distances - self.radius - self.radii) < _NEAR
         rows = np.arange(len(centers))

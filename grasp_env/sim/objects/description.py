@@ -268,11 +268,16 @@ class ObjectDescription(Settings):
         }
 
 
+def sides_text(extent: Sequence[float]) -> str:
+    """Return sides [m] as "0.1 x 0.2 x 0.3 m"."""
+    return f"{' x '.join(f'{side:.3g}' for side in extent)} m"
+
+
 def check_extent(extent: Sequence[float], shape: str, too_large: str, too_small: str) -> None:
     """Raise unless sides [m] are allowed, with a hint for each case."""
     if not (min(extent) >= SMALLEST and max(extent) <= LARGEST):
         raise InvalidInputError(
-            f"the {shape} measures {' x '.join(f'{side:.3g}' for side in extent)} m, allowed are {SMALLEST:g} to {LARGEST:g} m each way; "
+            f"the {shape} measures {sides_text(extent)}, allowed are {SMALLEST:g} to {LARGEST:g} m each way; "
             f"{too_large if max(extent) > LARGEST else too_small}"
         )
 
