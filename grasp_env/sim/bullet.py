@@ -42,8 +42,7 @@ STRUCTURE_SWEEPS = 800
 
 
 class Bullet(Simulator):
-    """A hand around an object in its own PyBullet server; see `Simulator`, and `Scene` for the
-    arguments.
+    """A hand around an object in its own PyBullet server; see `Simulator`.
 
     Attributes:
         client: The connection.
@@ -75,7 +74,7 @@ class Bullet(Simulator):
             first=-1,
             links=links,
         )
-        self._kept: dict[str, tuple[int, Any]] = {}  # resetting the server removed earlier ones
+        self._states: dict[str, tuple[int, Any]] = {}  # resetting the server removed earlier ones
         self._steps = config.substeps
         # contacts of all steps of the last `advance`, or those saved with a state; None if the
         # server still has them
@@ -134,19 +133,19 @@ class Bullet(Simulator):
         set_dynamics(self.client.number, self.world.object, item)
 
     def keep(self, name: str) -> None:
-        """See `Simulator`. It takes 1 ms, and each state 97 kB."""
+        """See `Simulator`; it takes 1 ms and 97 kB."""
         client = self.client.number
-        if name in self._kept:
-            bullet.removeState(self._kept[name][0], physicsClientId=client)
-        self._kept[name] = bullet.saveState(physicsClientId=client), self._contacts()
+        if name in self._states:
+            bullet.removeState(self._states[name][0], physicsClientId=client)
+        self._states[name] = bullet.saveState(physicsClientId=client), self._contacts()
         self.reset(name)
 
     def reset(self, name: str) -> None:
         """See `Simulator`."""
-        if name not in self._kept:
-            raise UnknownNameError("kept state", name, self._kept)
+        if name not in self._states:
+            raise UnknownNameError("kept state", name, self._states)
         client, world = self.client.number, self.world
-        state, self._recorded = self._kept[name]
+        state, self._recorded = self._states[name]
         bullet.restoreState(stateId=state, physicsClientId=client)
         # Bullet restores the contacts of two links to the first pair of their shapes, which may be
         # wrong. New collision proxies make the next step find them anew; until then the saved

@@ -40,11 +40,11 @@ def create_body(client: int, item: ObjectDescription, exact: bool = False) -> in
     with tempfile.TemporaryDirectory() as folder:
         solid, look = _shapes(item, folder, exact)
         shape = bullet.createCollisionShape(**solid, physicsClientId=client)
-        seen = bullet.createVisualShape(
+        visual = bullet.createVisualShape(
             **look, rgbaColor=(*OBJECT_COLOR, 1.0), physicsClientId=client
         )
         # reads the file once more
-        body = bullet.createMultiBody(item.mass, shape, seen, physicsClientId=client)
+        body = bullet.createMultiBody(item.mass, shape, visual, physicsClientId=client)
     set_dynamics(client, body, item)
     return body
 

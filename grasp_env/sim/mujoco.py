@@ -66,7 +66,7 @@ class Mujoco(Simulator):
         }
         self._links = np.array([links.get(int(body), -1.0) for body in model.geom_bodyid])
         self._steps = config.substeps
-        self._kept = {}
+        self._states = {}
         self._recorded: list[tuple[Array, ...]] = []  # contacts of every step of the last `advance`
         self._contacts: Array | None = np.empty(0)  # None: to be computed from `_recorded`
         self._rotation = np.zeros(9)
@@ -113,8 +113,8 @@ class Mujoco(Simulator):
         if not self._recorded:
             return []
         shapes, _, _, forces = self._recorded[-1]
-        own = shapes[(forces[:, 0] > _MIN_FORCE) & ~np.isin(shapes, self._shapes).any(axis=1)]
-        links: Array = self._links[own.astype(int)]
+        rows = (forces[:, 0] > _MIN_FORCE) & ~np.isin(shapes, self._shapes).any(axis=1)
+        links: Array = self._links[shapes[rows].astype(int)]
         pairs = np.sort(links, axis=1).astype(int).tolist()
         return sorted({(first, second) for first, second in pairs})
 
@@ -138,14 +138,14 @@ class Mujoco(Simulator):
         data = self._open_data()
         state = np.empty(mujoco.mj_stateSize(self.model, _STATE))
         mujoco.mj_getState(self.model, data, state, _STATE)
-        self._kept[name] = state, self._object_contacts()
+        self._states[name] = state, self._object_contacts()
 
     def reset(self, name: str) -> None:
         """See `Simulator`."""
         data = self._open_data()
-        if name not in self._kept:
-            raise UnknownNameError("kept state", name, self._kept)
-        state, self._contacts = self._kept[name]
+        if name not in self._states:
+            raise UnknownNameError("kept state", name, self._states)
+        state, self._contacts = self._states[name]
         mujoco.mj_setState(self.model, data, state, _STATE)
 
     def close(self) -> None:

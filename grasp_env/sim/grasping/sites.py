@@ -197,12 +197,12 @@ class _Reach:
             members[rows, pairs[:, side]], chosen[rows, pairs[:, side]] = True, samples[:, side]
         for finger in range(fingers):
             for _ in range(_DRAWS):
-                left = np.flatnonzero(~members[:, finger] & near[:, :, finger].any(axis=1))
-                weights = near[left, :, finger] * self.rng.random((len(left), len(tips)))
+                rows = np.flatnonzero(~members[:, finger] & near[:, :, finger].any(axis=1))
+                weights = near[rows, :, finger] * self.rng.random((len(rows), len(tips)))
                 drawn: Indices = weights.argmax(axis=1)
-                chosen[left, finger] = drawn
-                clear = self._clear(np.full(len(left), finger), drawn, centers[left])
-                members[left, finger] = clear
+                chosen[rows, finger] = drawn
+                clear = self._clear(np.full(len(rows), finger), drawn, centers[rows])
+                members[rows, finger] = clear
         rows = np.flatnonzero(members.sum(axis=1) >= least)
         centers = centers[rows]
         members = members[rows]
@@ -279,23 +279,23 @@ class _Reach:
         samples = rng.integers(len(tips), size=(_PAIRS, 2))
         if self.locked:
             samples[:, 1] = samples[:, 0]
-        one = rng.integers(fingers, size=_PAIRS)
-        other = (one + rng.integers(1, max(fingers, 2), size=_PAIRS)) % fingers
-        start = tips[samples[:, 0], one]
-        way = tips[samples[:, 1], other] - start
-        apart = np.linalg.norm(way, axis=1)
-        most = sizes[one] + sizes[other]
-        kept = np.flatnonzero((one != other) & (apart < most) & (apart > _ACROSS * most))
-        way = way[kept] / apart[kept, None]
-        apart = apart[kept]
-        one = one[kept]
-        other = other[kept]
-        along = (apart**2 + sizes[one] ** 2 - sizes[other] ** 2) / (2.0 * apart)
-        aside = np.cross(way, _directions(rng, len(kept)))
-        height = np.sqrt(np.maximum(sizes[one] ** 2 - along**2, 0.0))
+        first = rng.integers(fingers, size=_PAIRS)
+        second = (first + rng.integers(1, max(fingers, 2), size=_PAIRS)) % fingers
+        start = tips[samples[:, 0], first]
+        axis = tips[samples[:, 1], second] - start
+        length = np.linalg.norm(axis, axis=1)
+        most = sizes[first] + sizes[second]
+        rows = np.flatnonzero((first != second) & (length < most) & (length > _ACROSS * most))
+        axis = axis[rows] / length[rows, None]
+        length = length[rows]
+        first = first[rows]
+        second = second[rows]
+        along = (length**2 + sizes[first] ** 2 - sizes[second] ** 2) / (2.0 * length)
+        aside = np.cross(axis, _directions(rng, len(rows)))
+        height = np.sqrt(np.maximum(sizes[first] ** 2 - along**2, 0.0))
         aside *= (height / np.linalg.norm(aside, axis=1))[:, None]
-        points = start[kept] + along[:, None] * way + aside
-        return points, np.column_stack([one, other]), samples[kept]
+        points = start[rows] + along[:, None] * axis + aside
+        return points, np.column_stack([first, second]), samples[rows]
 
 
 def _shortest(normals: Array, members: NDArray[np.bool_]) -> Array:

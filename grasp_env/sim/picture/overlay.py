@@ -91,8 +91,8 @@ class _Pen:
         half = 0.5 * wide * min(1.0, length / (2.0 * wide))
         side = 0.42 * head
         right = np.array([(0.0, half), (length - head, half), (length - head, side), (length, 0.0)])
-        there = np.vstack([right, right[-2::-1] * (1.0, -1.0)])  # along and across the arrow
-        outline = tail + there @ np.array([along, (-along[1], along[0])])
+        local = np.vstack([right, right[-2::-1] * (1.0, -1.0)])  # along and across the arrow
+        outline = tail + local @ np.array([along, (-along[1], along[0])])
         self.line(np.vstack([outline, outline[:2]]), (*_WHITE, 235), 0.7 * width)
         self.polygon(outline, color)
 
