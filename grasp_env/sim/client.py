@@ -57,7 +57,7 @@ except ImportError as error:
         "use engine='mujoco', or an environment of one of those"
     ) from error
 
-__all__ = ["Client", "bullet", "silenced"]
+__all__ = ["Client", "bullet"]
 
 
 def _has_display() -> bool:

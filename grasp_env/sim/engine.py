@@ -17,6 +17,7 @@ from grasp_env.settings import Kind, Settings, any_of, integer, one_of, real, se
 
 _POSITIVE = Range(1e-12, 1e9)
 _MAX_SWEEPS = 100_000
+_RATE = "Steps per simulated second; a multiple of `controller.rate`."
 
 
 @dataclass(frozen=True)
@@ -29,9 +30,7 @@ class EngineSettings(Settings):
     overlap: ClassVar[float] = 1e-5
     """Depth at which tips without clearance start in the object [m]; see `SceneConfig`."""
 
-    rate: int = setting(
-        250, integer(1), "Steps per simulated second; a multiple of `controller.rate`.", unit="Hz"
-    )
+    rate: int = setting(250, integer(1), _RATE, unit="Hz")
 
 
 @dataclass(frozen=True)
@@ -88,9 +87,7 @@ class MujocoEngine(EngineSettings):
     simulator: ClassVar[tuple[str, str]] = ("grasp_env.sim.mujoco", "Mujoco")
     painter: ClassVar[tuple[str, str]] = ("grasp_env.sim.picture.mujoco", "MujocoPainter")
 
-    rate: int = setting(
-        1000, integer(1), "Steps per simulated second; a multiple of `controller.rate`.", unit="Hz"
-    )
+    rate: int = setting(1000, integer(1), _RATE, unit="Hz")
     cone: str = setting(
         "elliptic",
         one_of(("elliptic", "pyramidal")),

@@ -27,14 +27,8 @@ MAX_FACES = 200_000
 """Largest number of triangles of a mesh."""
 MAX_MEMORY = 2000 * MEGABYTE
 """Largest memory for reading [bytes]; files of `MAX_FACES` need a third of it."""
-KINDS = {
-    ".obj": 40 * MEGABYTE,
-    ".stl": 80 * MEGABYTE,
-    ".ply": 40 * MEGABYTE,
-    ".off": 20 * MEGABYTE,
-    ".glb": 100 * MEGABYTE,
-    ".dae": 40 * MEGABYTE,
-}
+_MEGABYTES = {".obj": 40, ".stl": 80, ".ply": 40, ".off": 20, ".glb": 100, ".dae": 40}
+KINDS = {kind: size * MEGABYTE for kind, size in _MEGABYTES.items()}
 """Largest size [bytes] of each kind of file: twice that of `MAX_FACES`, with pictures in a .glb."""
 EXPORT = "export it again as .obj or .stl"
 SIMPLIFY = (

@@ -26,6 +26,14 @@ _TIP = 0.025  # diameter of a fingertip [m]
 _SURVEY = 160  # longer side of the picture that locates hand and object [pixels]
 _SURVEY_DISTANCE = 1.2  # its distance from the nominal object, enough for hands of half a metre [m]
 
+_RANGES = {
+    "field_of_view": Range(1.0, 120.0, "degrees"),
+    "margin": Range(0.0, 0.4),
+    "footer": Range(0.0, 0.5),
+    "arrows": Range(0.0, 1.0, "m"),
+    "object_opacity": Range(0.0, 1.0),
+}
+
 
 @dataclass(frozen=True)
 class CameraConfig:
@@ -64,11 +72,8 @@ class CameraConfig:
     def __post_init__(self) -> None:
         for name in ("width", "height", "supersampling"):
             whole(getattr(self, name), name, 1)
-        number(self.field_of_view, "field_of_view", Range(1.0, 120.0, "degrees"))
-        number(self.margin, "margin", Range(0.0, 0.4))
-        number(self.footer, "footer", Range(0.0, 0.5))
-        number(self.arrows, "arrows", Range(0.0, 1.0, "m"))
-        number(self.object_opacity, "object_opacity", Range(0.0, 1.0))
+        for name, allowed in _RANGES.items():
+            number(getattr(self, name), name, allowed)
         direction = DIRECTION if self.direction is None else self.direction
         if not np.isfinite(direction).all() or np.hypot(direction[0], direction[2]) < 1e-3:
             raise InvalidInputError(

@@ -138,10 +138,9 @@ def _draw_wrench(pen: _Pen, view: View, annotation: Annotation) -> None:
         axis = moment / np.linalg.norm(moment)
         first = np.cross(view.axes[1] if abs(axis @ view.axes[1]) < 0.9 else view.axes[0], axis)
         first /= np.linalg.norm(first)
-        angles = np.linspace(0.0, min(turn, 1.1 * LONGEST_TURN), 28)
+        circle = _circle(27, min(turn, 1.1 * LONGEST_TURN))
         plane = np.array([first, np.cross(axis, first)])
-        circle = np.column_stack([np.cos(angles), np.sin(angles)]) @ plane
-        arc = view.project(center + _TURN_RADIUS * circle)
+        arc = view.project(center + _TURN_RADIUS * (circle @ plane))
         pen.line(arc[:-3], (*_WHITE, 220), 5.0)
         pen.line(arc[:-3], WRENCH_COLOR, 2.6)
         pen.arrow(arc[-7], arc[-1], WRENCH_COLOR, 3.4)
@@ -226,7 +225,7 @@ def _legend(
     ends = view.project(annotation.center + np.outer(lengths, view.axes[0]))[:, 0]
     longest, bar, wrench_bar = (ends[1:, None] - ends[0]) * right
     moment = round_down(0.5 * math.pi / annotation.turn)
-    x, y = (turned(np.linspace(0.0, moment * annotation.turn, 12)) for turned in (np.cos, np.sin))
+    x, y = _circle(11, moment * annotation.turn).T
     arc = 20.0 * unit * np.column_stack([x - x[-1], 0.5 * y[-1] - y])
     cone = 9.0 * unit * np.array([[2.0, 0.0], [0.0, -0.7], [0.0, 0.7], [2.0, 0.0]])
 
@@ -272,7 +271,7 @@ def _font(size: int) -> ImageFont.FreeTypeFont:
     return font
 
 
-def _circle(count: int) -> Array:
-    """Return points (count + 1, 2) of the unit circle, with the first one repeated at the end."""
-    angles = np.linspace(0.0, 2.0 * np.pi, count + 1)
+def _circle(count: int, angle: float = 2.0 * np.pi) -> Array:
+    """Return points (count + 1, 2) of the unit circle, from 0 to the angle."""
+    angles = np.linspace(0.0, angle, count + 1)
     return np.column_stack([np.cos(angles), np.sin(angles)])

@@ -29,7 +29,7 @@ _MARGIN = 0.04  # share of the picture left free around the hand or mesh
 _MESH_SIZE = (
     0.2  # size to which meshes are scaled, as the camera cannot come near to small ones [m]
 )
-_NOWHERE = (0.0, 0.0, 0.0)
+_ORIGIN = (0.0, 0.0, 0.0)
 
 
 def portrait(hand: HandDescription, size: int = 640, angles: Array | None = None) -> np.ndarray:
@@ -39,16 +39,14 @@ def portrait(hand: HandDescription, size: int = 640, angles: Array | None = None
     which close towards the camera. The joints are at `angles` (M,) [rad], or at `home`.
     """
     posture = np.array(hand.home) if angles is None else angles
-    upright = hand.moved((0.0, 0.0, 0.0), roll_pitch_yaw(_upright(hand, posture)))
+    upright = hand.moved(_ORIGIN, roll_pitch_yaw(_upright(hand, posture)))
     kinematics = HandKinematics(upright)
     rotations, origins = kinematics.links(posture)
     points = [outline(shape) for shape in upright.palm.collision]
     for link, rotation, origin in zip(upright.links, rotations, origins, strict=True):
         points += [outline(shape) @ rotation.T + origin for shape in link.collision]
     points = np.vstack([*points, kinematics.tips(posture), origins])
-    view = View((0.45, 0.35, 1.0), (0.0, 0.0, 0.0), 20.0, size, size).fitted(
-        points, _MARGIN, _MARGIN
-    )
+    view = _view(points, size)
     return np.hstack([_shot(look, posture, view) for look in (upright, _solid(upright))])
 
 
@@ -60,7 +58,7 @@ def mesh_portrait(mesh: Mesh, size: int = 640) -> np.ndarray:
         corners = tuple(map(tuple, (scale * piece).tolist()))
         pieces.append(Geometry("hull", (), color=_color(index), corners=corners))
     points = scale * np.vstack([mesh.vertices, *mesh.pieces])
-    view = View((0.45, 0.35, 1.0), _NOWHERE, 20.0, size, size).fitted(points, _MARGIN, _MARGIN)
+    view = _view(points, size)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "mesh.obj")
         file.write_text(obj_text([(scale * mesh.vertices, mesh.faces)]), encoding="ascii")
@@ -68,6 +66,11 @@ def mesh_portrait(mesh: Mesh, size: int = 640) -> np.ndarray:
         return np.hstack(
             [_shot(_lookalike(shapes), np.zeros(1), view) for shapes in ((whole,), tuple(pieces))]
         )
+
+
+def _view(points: Array, size: int) -> View:
+    view = View((0.45, 0.35, 1.0), _ORIGIN, 20.0, size, size)
+    return view.fitted(points, _MARGIN, _MARGIN)
 
 
 def _color(index: int) -> Vector3:
@@ -78,9 +81,9 @@ def _color(index: int) -> Vector3:
 
 def _lookalike(shapes: tuple[Geometry, ...]) -> HandDescription:
     """Make a hand with only these visual shapes, as painters draw hands."""
-    body = 1.0, _NOWHERE, (1.0, 0.0, 0.0, 1.0, 0.0, 1.0)  # mass, centre, inertia
-    link = Link("unseen", "palm", _NOWHERE, _NOWHERE, (0.0, 0.0, 1.0), -1.0, 1.0, 1.0, *body)
-    tip = Fingertip("tip", "unseen", _NOWHERE, 1.0)
+    body = 1.0, _ORIGIN, (1.0, 0.0, 0.0, 1.0, 0.0, 1.0)  # mass, centre, inertia
+    link = Link("unseen", "palm", _ORIGIN, _ORIGIN, (0.0, 0.0, 1.0), -1.0, 1.0, 1.0, *body)
+    tip = Fingertip("tip", "unseen", _ORIGIN, 1.0)
     return HandDescription("mesh", Palm(visual=shapes), (link,), (tip,))
 
 
