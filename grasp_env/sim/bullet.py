@@ -203,8 +203,8 @@ def build_world(client: int, config: SceneConfig, urdf: str, angles: np.ndarray)
     )
     couple(client, hand, joints, config.hand)
     for pair in touching_pairs(config.hand):
-        one, other = (-1 if link < 0 else joints[link] for link in pair)
-        bullet.setCollisionFilterPair(hand, hand, one, other, 0, physicsClientId=client)
+        first, second = (-1 if link < 0 else joints[link] for link in pair)
+        bullet.setCollisionFilterPair(hand, hand, first, second, 0, physicsClientId=client)
     return World(hand, create_body(client, config.object, engine.mesh_contacts == "faces"), joints)
 
 

@@ -62,7 +62,7 @@ def scene_mjcf(
 <joint damping="0" armature="0" frictionloss="0" solreflimit="{spring}"/><equality {soft}/></default>
 <asset>{"".join(meshes)}</asset>
 <worldbody>{tree}{_free_body(item, geoms)}</worldbody>
-<contact>{"".join(f'<exclude body1="{one}" body2="{other}"/>' for one, other in _neighbours(hand))}</contact>
+<contact>{"".join(_excludes(hand))}</contact>
 <equality>{"".join(_couplings(hand))}</equality></mujoco>"""
 
 
@@ -177,10 +177,10 @@ def _couplings(hand: HandDescription) -> Iterable[str]:
             yield f'<joint {joints} polycoef="{link.mimic.offset!r} {link.mimic.ratio!r} 0 0 0"/>'
 
 
-def _neighbours(hand: HandDescription) -> Iterable[tuple[str, str]]:
-    """Yield bodies that do not collide: links and parents, and links that always overlap."""
+def _excludes(hand: HandDescription) -> Iterable[str]:
+    """Yield pairs that do not collide: links and parents, and links that always overlap."""
     numbers = {link.name: index for index, link in enumerate(hand.links)}
     parents = {(numbers.get(link.parent, -1), index) for index, link in enumerate(hand.links)}
     for pair in sorted(parents | set(touching_pairs(hand))):
-        one, other = (PALM if index < 0 else link_name(index) for index in pair)
-        yield one, other
+        first, second = (PALM if index < 0 else link_name(index) for index in pair)
+        yield f'<exclude body1="{first}" body2="{second}"/>'

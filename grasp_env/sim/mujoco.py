@@ -51,7 +51,8 @@ class Mujoco(Simulator):
                 f"MuJoCo cannot build hand {self._hand.name!r} with this object: {error}"
             ) from error
         self.data = data = mujoco.MjData(model)
-        joints = [model.joint(link_name(index)) for index in range(self._hand.joint_count)]
+        names = [link_name(index) for index in range(self._hand.joint_count)]
+        joints = [model.joint(name) for name in names]
         self._angles = np.array([joint.qposadr[0] for joint in joints])
         self._rates = np.array([joint.dofadr[0] for joint in joints])
         self._body = model.body(OBJECT).id
@@ -61,9 +62,7 @@ class Mujoco(Simulator):
         self._position, self._turn = slice(start, start + 3), slice(start + 3, start + 7)
         start = int(model.jnt_dofadr[free])
         self._linear, self._angular = slice(start, start + 3), slice(start + 3, start + 6)
-        links = {
-            model.body(link_name(index)).id: float(index) for index in range(self._hand.joint_count)
-        }
+        links = {model.body(name).id: float(index) for index, name in enumerate(names)}
         self._links = np.array([links.get(int(body), -1.0) for body in model.geom_bodyid])
         self._steps = config.substeps
         self._states = {}

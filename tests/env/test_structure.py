@@ -29,7 +29,7 @@ LOADS = np.array([[0.0, -1.5, 0.0, 0.0, 0.0, 0.0], [1.0, -1.5, 0.5, 0.0, 0.03, 0
 @pytest.fixture
 def careless(monkeypatch):
     """Place hands without regard to the directions in which their motors push."""
-    monkeypatch.setattr(placing, "_MADE", 0.0)
+    monkeypatch.setattr(placing, "_SHARE_POWER", 0.0)
     monkeypatch.setattr(sites, "_PUSHED", 0.0)
     placing._placed.cache_clear()
     yield

@@ -1,4 +1,4 @@
-"""Planning of grasps: contacts that a hand reaches, its pose, and checks of given contacts."""
+"""Planning of grasps: contacts that a hand reaches, its pose, and checks of contacts."""
 
 from grasp_env.sim.grasping.placing import place_hand
 from grasp_env.sim.grasping.points import GraspPlan, check_points, grasp_points, plan_grasp
