@@ -87,7 +87,7 @@ class Client:
     def __init__(self, gui: bool = False) -> None:
         if gui and not _has_display():
             raise SimulationError(
-                f"a window was asked for but there is no display (DISPLAY={os.environ.get('DISPLAY')!r}); use render_mode='rgb_array' or "
+                f"a window was requested but there is no display (DISPLAY={os.environ.get('DISPLAY')!r}); use render_mode='rgb_array' or "
                 "gui=False, or run under a display such as xvfb-run"
             )
         with silenced():

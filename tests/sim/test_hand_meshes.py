@@ -302,7 +302,7 @@ NO_MESH = [
         'are 1e-05 to 5; .* scale="0.001',
     ),
     ("a.obj", b"v 0 0 0\nv 0 0 0\nv 0 0 0\nf 1 2 3\n", "all its faces are lines or points"),
-    ("a.txt", b"", "of no kind that is read"),
+    ("a.txt", b"", "not of a supported type"),
     ("/dev/zero", None, "neither beside the URDF nor"),
     ("http://example.org/a.obj", None, "only file://, package:// and plain paths"),
     ("a" * 5000 + ".obj", None, "neither beside the URDF nor"),

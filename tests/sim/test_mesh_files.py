@@ -177,7 +177,7 @@ def test_memory_is_told_of_a_file_alone(monkeypatch):
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("a.zip", b"", r"the mesh is of no kind that is read: \.obj, \.stl, .*; export it"),
+        ("a.zip", b"", r"the mesh is not of a supported type: \.obj, \.stl, .*; export it"),
         ("a.glb", None, r"cannot read the mesh: No such file or directory; check the path"),
         ("a.obj", b"", "the mesh is empty; export it again"),
         ("a.off", 10**9, r"cannot read the mesh: it is larger than 20 MB; .* simplify it"),

@@ -1,4 +1,4 @@
-"""Cache of processed meshes in the user's cache folder, keyed by content, for many processes."""
+"""Cache of processed meshes in the user's cache folder, keyed by content, safe for processes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Solids from mesh files [m], with origin and axes at the centre of mass and principal axes."""
+"""Solids from mesh files [m]; centre of mass and principal axes are their origin and axes."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ def open_mesh(path: str | os.PathLike[str], name: str) -> MeshFile:
     kind = Path(path).suffix.lower()
     if kind not in KINDS:
         raise InvalidInputError(
-            f"{name} is of no kind that is read: {', '.join(KINDS)}; export it as one of them"
+            f"{name} is not of a supported type: {', '.join(KINDS)}; export it as one of them"
         )
     try:
         content = read_bytes(path, KINDS[kind])

@@ -57,7 +57,7 @@ class Painter(Protocol):
 
 
 def before_background(pixels: Any, depth: Any) -> tuple[Image.Image, Array]:
-    """Put pixels (H, W, 3) before the background, which their depth (H, W) shows."""
+    """Put pixels (H, W, 3) with their depth (H, W) before the background."""
     height, width = depth.shape
     mask = Image.fromarray(depth < BACKGROUND_DEPTH)
     return Image.composite(Image.fromarray(pixels), _background(width, height), mask), depth
