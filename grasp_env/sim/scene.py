@@ -148,7 +148,7 @@ class Scene:
         self.advance(np.clip(numbers, -limits, limits).tolist(), wrench)
 
     def advance(self, torques: list[float], wrench: list[float] | None) -> None:
-        """Step without checks, for loops; `torques` must be within the limits."""
+        """Step without checks, for loops: `torques` within the limits, `wrench` as in `Simulator`."""
         self.simulator.advance(torques, wrench)
         self._core_is_current = False
 
