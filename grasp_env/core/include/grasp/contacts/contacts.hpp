@@ -1,5 +1,5 @@
-// Contacts: their friction and weights, set once, and their current place. `place` and `select`
-// allocate nothing.
+// Contacts: friction and weights, set once, and their current place. `place` and `select` allocate
+// nothing.
 #pragma once
 #include <span>
 #include <stdexcept>
@@ -9,37 +9,35 @@
 namespace grasp {
 
 inline constexpr double LARGEST = 1e12;  // [N], [N m] largest number accepted
-// [N] a smaller wrench counts as zero, since its inverse is infinite
+// [N] a smaller wrench counts as zero: its inverse is infinite
 inline constexpr double NOTHING = 1e-306;
 
-// Largest balance residual [N] at which a force counts as balanced: a fraction of the wrench, or of
-// normal forces up to 1 N.
+// Largest balance residual [N] of a balanced force: a fraction of the wrench, or of normal forces
+// up to 1 N.
 inline constexpr double BALANCED = 1e-9;
 template <class S> inline S balance_tolerance(const S& wrench, const S& normal) {
   return BALANCED * max(wrench, min(normal, S(1.0)));
 }
 
-// Distance from the boundary of the wrenches that contacts can balance, as a fraction of the wrench
-// in the unit frame, within which a force may balance a wrench just inside instead: both count as
-// equal.
+// Wrenches this close to the boundary of those that contacts can balance, as a fraction of the
+// wrench in the unit frame, count as equal: a force may balance one just inside instead.
 inline constexpr double BOUNDARY = BALANCED;
 
 // refused: not finite, all at one point, or a normal not of unit length. needs_torsion: the rank is
-// 6 only with the torsion of soft contacts. rank_lost: the contacts balance the wrenches of their
-// `reach` only. `inverse` is undefined in both.
+// 6 only with the torsion of soft contacts. rank_lost: the contacts balance only wrenches of their
+// `reach`. `inverse` is undefined in both.
 enum class Placing { good, refused, rank_lost, needs_torsion };
 
-// The wrenches that contacts can make if forces may have any sign: those along the first `rank` of
-// six orthonormal axes, unit frame. With rank 6 the axes have no meaning.
+// The wrenches that forces of any sign can make: those along the first `rank` of six orthonormal
+// axes, unit frame. With rank 6 the axes have no meaning.
 struct WrenchSpace {
   int rank = 6;
-  // fraction of the forces: wrench out of reach that they make because places are rounded
+  // wrench out of reach that forces make because places are rounded, as a fraction of them
   double rounding = 0.0;
   std::array<Vec6, 6> axes{};
 
   bool full() const { return rank == 6; }
-  // The part of a wrench that is out of reach, unit frame. beyond(w) is orthogonal to the rest of
-  // w.
+  // The part of a wrench that is out of reach, orthogonal to the rest; unit frame.
   Vec6 beyond(const Vec6& wrench) const {
     Vec6 out{};
     for (int k = rank; k < 6; ++k) out = out + dot(axes[k], wrench) * axes[k];
@@ -47,16 +45,15 @@ struct WrenchSpace {
   }
 };
 
-// The weights of Phi, equal for all contacts: the price of squeezing, which is also that of the
+// The weights of Phi, equal for all contacts: the prices of squeezing, which is also that of the
 // exact problem, and of approaching a cone [N^2].
 struct Objective {
   double force_weight = 1.0, barrier_weight = 0.01;
 };
 
-// Accepted scale of cone coordinates, 0: nothing is transmitted; and the divisor of such
-// coordinates.
-template <class T> inline T taken_scale(const T& given) {
-  return select((given > 0.0) & (given < infinity), given, T(0.0));
+// Accepted scale of cone coordinates, 0: nothing is transmitted; and its divisor.
+template <class T> inline T taken_scale(const T& scale) {
+  return select((scale > 0.0) & (scale < infinity), scale, T(0.0));
 }
 template <class T> inline T divisor_of(const T& scale) {
   return select(scale > 0.0, scale, T(infinity));
@@ -83,10 +80,10 @@ class Contacts {
   std::vector<double> force_rows;
   // (3N, 6) G^+ in cone coordinates, unit frame: the least-norm change of force
   std::vector<double> inverse;
-  Placing placing = Placing::refused;  // of the last `place`; the arrays above belong to the last
-                                       // one that was not refused
+  // of the last `place`; the arrays above belong to the last one that was not refused
+  Placing placing = Placing::refused;
   WrenchSpace reach;
-  bool clear = false;  // true if the rank is 6 beyond doubt, without singular values
+  bool clear = false;  // the rank is 6 beyond doubt, without singular values
 
   Contacts() = default;
   // scale: (N, 3) mu for the normal and 1 for the tangents of round cones; 0: nothing is
@@ -99,8 +96,7 @@ class Contacts {
     update_divisors();
     set_tangents_and_torsion(along, gamma);
   }
-  // friction: one coefficient for all contacts, one per contact (N), or two per contact (N, 2),
-  // along o and t; 0: frictionless.
+  // friction: one coefficient for all contacts, N, or (N, 2) along o and t; 0: frictionless.
   Contacts(int count, std::span<const double> friction, const Objective& objective = {},
            const double* along = nullptr, const double* gamma = nullptr) {
     make_room(count);
@@ -109,22 +105,21 @@ class Contacts {
     set_tangents_and_torsion(along, gamma);
   }
 
-  // Place contacts; throws std::invalid_argument with a message about the wrong argument unless
-  // solvers can use them. Numbers are given contact by contact. positions, normals: as for `place`.
-  // friction: as for the constructor. along: (N, 3) tangents, or empty. gamma: (N,) torsional
-  // friction [m], 0: hard, or empty.
+  // Place contacts; throws std::invalid_argument about the wrong argument unless solvers can use
+  // them. positions, normals: as for `place`. friction: as for the constructor. along: (N, 3)
+  // tangents, or empty. gamma: (N,) torsional friction [m], 0: hard, or empty.
   static Contacts from(std::span<const double> positions, std::span<const double> normals,
                        std::span<const double> friction, const Objective& objective = {},
                        std::span<const double> along = {}, std::span<const double> gamma = {}) {
     const std::size_t size = positions.size();
     const std::size_t count = size / 3;
-    const std::size_t given = friction.size();
+    const std::size_t numbers = friction.size();
     require(size > 0 && size % 3 == 0 && size <= 3 * MOST_CONTACTS,
             "positions must be three numbers of each contact, up to 1000");
     require(normals.size() == size, "normals must be as many as positions");
     require(along.empty() || along.size() == size,
             "tangents must be as many as positions, or none");
-    require(given == 1 || given == count || given == 2 * count,
+    require(numbers == 1 || numbers == count || numbers == 2 * count,
             "friction must be one number, N or 2N");
     require(is_in_range(friction), "friction must be 0 to 1e12");
     require(gamma.empty() || gamma.size() == count,
@@ -151,17 +146,17 @@ class Contacts {
     return contacts;
   }
 
-  // Replace the friction, given as for the constructor, from the next `place` on. chosen: indices
-  // of these contacts if `friction` covers more of them; frictionless contacts then stay so.
+  // Replace the friction, as for the constructor, from the next `place` on. chosen: indices of
+  // these contacts if `friction` covers more; frictionless ones then stay so.
   void set_friction(std::span<const double> friction, std::span<const int> chosen = {},
                     int of = 0) {
-    const std::size_t given = friction.size();
+    const std::size_t numbers = friction.size();
     const std::size_t all = chosen.empty() ? count : of;
     for (int k = 0; k < count; ++k) {
       const std::size_t i = chosen.empty() ? k : chosen[k];
       if (!chosen.empty() && scale[3 * k + 1] == 0.0) continue;
-      const bool two = given == 2 * all;
-      const double mu_o = friction[two ? 2 * i : given == 1 ? 0 : i];
+      const bool two = numbers == 2 * all;
+      const double mu_o = friction[two ? 2 * i : numbers == 1 ? 0 : i];
       const double mu_t = two ? friction[2 * i + 1] : mu_o;
       const Point one = cone_scale(mu_o, mu_t);
       for (int a = 0; a < 3; ++a) scale[3 * k + a] = one[a];
@@ -184,34 +179,34 @@ class Contacts {
     const auto good = [](double v) { return v > 0.0 && v < infinity; };
     return std::ranges::all_of(omega, good) && std::ranges::all_of(lambda, good);
   }
-  // From now on, project the current directions of o instead of using the default rule.
+  // From now on, project the current directions of o instead of the default.
   void keep_tangents() {
     tangents.resize(3 * count);
     for (int j = 0; j < 3 * count; ++j) tangents[j] = frames[3 * j + 1];
   }
 
-  // Take over the properties of some contacts of `all`; `place` then places them. Does not allocate
-  // if this object was once a copy of `all`. chosen: their indices in `all`.
+  // Take over the properties of the contacts `chosen` of `all`; `place` then places them. Does not
+  // allocate if this object was once a copy of `all`.
   void select(const Contacts& all, std::span<const int> chosen) {
     make_room(int(chosen.size()));
-    const auto take = [&](std::vector<double>& to, const std::vector<double>& from, int width) {
+    const auto copy = [&](std::vector<double>& to, const std::vector<double>& from, int width) {
       for (int i = 0; i < count; ++i)
         std::copy_n(from.data() + width * chosen[i], width, to.data() + width * i);
     };
-    take(scale, all.scale, 3);
-    take(divisor, all.divisor, 3);
-    take(used_, all.used_, 3);
-    take(per_, all.per_, 3);
-    take(omega, all.omega, 1);
-    take(lambda, all.lambda, 1);
-    take(torsion, all.torsion, 1);
+    copy(scale, all.scale, 3);
+    copy(divisor, all.divisor, 3);
+    copy(used_, all.used_, 3);
+    copy(per_, all.per_, 3);
+    copy(omega, all.omega, 1);
+    copy(lambda, all.lambda, 1);
+    copy(torsion, all.torsion, 1);
     tangents.resize(all.tangents.empty() ? 0 : 3 * count);
-    if (!tangents.empty()) take(tangents, all.tangents, 3);
+    if (!tangents.empty()) copy(tangents, all.tangents, 3);
     placing = Placing::refused;
     clear = false;
   }
 
-  // Place the contacts. positions [m] and inward unit normals, (N, 3) each, object frame.
+  // Place the contacts: positions [m] and inward unit normals, (N, 3) each, object frame.
   Placing place(const double* at, const double* inward) {
     double total = 0.0;
     for (int j = 0; j < 3 * count; ++j) total += std::abs(at[j]);
@@ -252,11 +247,11 @@ class Contacts {
     return placing = find_rank(s);
   }
 
-  // The wrench (6,) without its part that no forces of these contacts make, whatever their signs.
+  // The wrench (6,) without its part that no forces of these contacts make.
   Vec6 within_reach(const double* wrench) const {
     if (reach.full()) return {wrench[0], wrench[1], wrench[2], wrench[3], wrench[4], wrench[5]};
     const Vec6 load = unit.of(wrench);
-    return unit.given(load - reach.beyond(load));
+    return unit.out_of(load - reach.beyond(load));
   }
   // Write an orthonormal basis of the rows of G (forces) into `out` (6, 3N).
   void orthonormal(std::vector<double>& out) const {
@@ -267,7 +262,6 @@ class Contacts {
     }
   }
 
-  // True if any contact transmits torsion.
   bool soft() const {
     return std::ranges::any_of(torsion, [](double gamma) { return gamma > 0.0; });
   }
@@ -278,8 +272,8 @@ class Contacts {
   std::vector<double> used_, per_;  // 1 where a force is transmitted, else 0; 1 / divisor
   std::vector<double> work_;        // (6, 4N)
 
-  static void require(bool good, const char* said) {
-    if (!good) throw std::invalid_argument(said);
+  static void require(bool good, const char* message) {
+    if (!good) throw std::invalid_argument(message);
   }
   static bool is_in_range(std::span<const double> numbers) {
     return std::ranges::all_of(numbers, [](double v) { return v >= 0.0 && v <= LARGEST; });
@@ -298,7 +292,6 @@ class Contacts {
     if (along) tangents.assign(along, along + 3 * count);
     if (gamma) std::copy(gamma, gamma + count, torsion.begin());
   }
-  // `place`; throws if that fails.
   void place_or_throw(const double* at, const double* inward) {
     require(weights_good(), "weights must be finite and > 0");
     place(at, inward);
@@ -333,8 +326,8 @@ class Contacts {
     find_reach(columns);
     return reach.full() ? Placing::needs_torsion : Placing::rank_lost;
   }
-  // Write the columns of forces and torsions, unit frame, into work_ (6, columns), and add those of
-  // torsions to their Gram matrix.
+  // Write the columns of forces and torsions, unit frame, into work_ (6, columns); add those of
+  // torsions to the Gram matrix.
   int gather_columns(Packed6& s) {
     const int size = 3 * count;
     const int columns =
@@ -351,7 +344,6 @@ class Contacts {
     }
     return columns;
   }
-  // Find the reach from the columns in work_.
   void find_reach(int columns) {
     const JacobiRotations rotations(work_, columns);
     int first = 0, last = 6;

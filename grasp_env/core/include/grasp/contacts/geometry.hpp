@@ -9,11 +9,10 @@ namespace grasp {
 using Point = Vec3<double>;  // x, y, z in the object frame
 
 inline constexpr double TANGENT_SWITCH = 0.9;
-// Allowed deviation of a normal from unit length, as rounded sensor data have it; normals are then
-// normalised exactly.
+// Allowed deviation of a normal from unit length, as rounded data have it; normals are then made
+// exact.
 inline constexpr double UNIT_TOLERANCE = 0.01;
-// Directions closer to unit length and orthogonality than this stay unchanged, so that a rebuilt
-// grasp keeps its bits.
+// Directions closer to unit length and orthogonality than this keep their bits.
 inline constexpr double ROUNDING = 1e-15;
 
 inline Point point(const double* a) { return {a[0], a[1], a[2]}; }
@@ -24,8 +23,7 @@ template <class T> inline Vec3<T> normalised(const Vec3<T>& a) {
 }
 
 // Cone coordinates = scale * force: (mu, o mu / mu_o, t mu / mu_t), mu = sqrt(mu_o mu_t), in which
-// every friction cone is round with slope one. Without friction only the normal force is
-// transmitted.
+// friction cones are round with slope one. Without friction only the normal force is transmitted.
 inline Point cone_scale(double mu_o, double mu_t) {
   if (!(mu_o > 0.0 && mu_t > 0.0)) return {1.0, 0.0, 0.0};
   if (mu_o == mu_t) return {mu_o, 1.0, 1.0};
@@ -45,8 +43,8 @@ template <class T> struct FrameOf {
     t = cross(n, o);
   }
   FrameOf(const Vec3<T>& normal, const Vec3<T>& along) : n(normal), o(along) {
-    for (int pass = 0; pass < 2;
-         ++pass) {  // the second pass removes the rounding of o . n for a tangent close to n
+    // the second pass removes the rounding of o . n for a tangent close to n
+    for (int pass = 0; pass < 2; ++pass) {
       const T off = dot(o, n);
       o = normalised(select(abs(off) > ROUNDING, o - off * n, o));
     }
@@ -61,7 +59,7 @@ template <class T> struct FrameOf {
 using Frame = FrameOf<double>;
 
 // The unit frame: a wrench as (force, moment about the contacts' centre / their length) [N],
-// independent of the origin and of the object's size.
+// independent of origin and size.
 template <class T> struct UnitFrameOf {
   Vec3<T> centre{};
   T length{};  // [m] root mean square distance of the contacts from their centre
@@ -98,7 +96,7 @@ template <class T> struct UnitFrameOf {
     return of(Vec6{w[0], w[1], w[2], w[3], w[4], w[5]});
   }
   // The wrench that has these components in this frame.
-  Six<T> given(const Six<T>& w) const {
+  Six<T> out_of(const Six<T>& w) const {
     const Vec3<T> force{w[0], w[1], w[2]};
     const Vec3<T> moment = (1.0 / scale()) * Vec3<T>{w[3], w[4], w[5]} + cross(centre, force);
     return {force.u, force.o, force.t, moment.u, moment.o, moment.t};
@@ -124,7 +122,6 @@ template <class T> struct UnitFrameOf {
 
 using UnitFrame = UnitFrameOf<double>;
 
-// Column j of a (6, columns) matrix.
 inline Vec6 column(const double* matrix, int columns, int j) {
   Vec6 out;
   for (int r = 0; r < 6; ++r) out[r] = matrix[columns * r + j];
@@ -140,7 +137,6 @@ template <class T> [[gnu::always_inline]] inline void add_gram(Packed<T>& s, con
 #pragma GCC unroll 8
     for (int q = 0; q <= r; ++q) s[packed(r, q)] += column[r] * column[q];
 }
-// Gram matrix of six rows, packed.
 inline Packed6 gram(const double* rows, int columns) {
   Packed6 s;
   for (int r = 0; r < 6; ++r)
@@ -153,9 +149,8 @@ inline Packed6 gram(const double* rows, int columns) {
 }
 
 // Lower bound of the smallest eigenvalue of a 6 x 6 Gram matrix s over its trace, from its factors;
-// 0 if rounding may have caused it. Above CLEAR_RANK the rows have rank 6 beyond doubt; below it
-// only their singular values can tell. det S <= smallest eigenvalue * (trace / 5)^5, so the pivots
-// of S bound that eigenvalue from below.
+// 0 if rounding may have caused it. Above CLEAR_RANK the rank is 6 beyond doubt; below it only
+// singular values can tell. det S <= smallest eigenvalue * (trace / 5)^5, so the pivots bound it.
 inline constexpr double CLEAR_RANK = 1e-10;
 template <class T> inline T rank_bound(const Packed<T>& s, const Ldl<T>& factor) {
   constexpr double LOST = 1e-13;  // of the trace: largest pivot that rounding may cause

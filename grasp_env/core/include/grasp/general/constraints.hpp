@@ -1,10 +1,9 @@
-// The constraints of a program: balance, cones, torsion, further rows; and the interior points for
-// them.
+// The constraints of a program: balance, cones, torsion, further rows; and their interior points.
 //
 // Contact i has z_i = (u, o, t, w): cone coordinates and, if it is soft, w = u - |torsion| in units
 // of its limit, with a row w <= 2u. Balance uses orthonormal rows, G = L Q, so contacts close to
-// each other cost no digits. If contacts cannot make all wrenches, the rows are those along the
-// axes of their reach, and the other rows of Q are zero: no force changes the wrench along them.
+// each other cost no digits. If contacts cannot make all wrenches, these rows are along the axes of
+// their reach; the other rows of Q are zero.
 #pragma once
 #include <memory>
 #include <grasp/conic/criterion.hpp>
@@ -23,13 +22,13 @@ struct ProgramData {
   const double* weights;  // (N, 2) omega, lambda
   const double* divisor;  // (N, 4) force and torsion from z; inf: nothing is transmitted
   const double* shares;  // (M,) [N] growth of a bound if its limit grows by all of itself; 0: never
-  bool elastic;          // true if the least excess may be requested
+  bool elastic;          // the least excess may be requested
   WrenchSpace reach{};   // the wrenches that the contacts can make
 };
 
 namespace detail {
 
-// The smallest value; nan if any is nan.
+// The smallest value, or nan.
 inline double least_of(std::span<const double> values) {
   double least = infinity;
   for (double value : values) least = value >= least ? least : value;
@@ -39,7 +38,6 @@ inline double least_of(std::span<const double> values) {
 template <int D> struct Constraints {
   using Row = std::span<const Tuple<double, D>>;  // z, or its coefficients
   using Field = ArenaVector<Tuple<double, D>>;
-  // Rows of coefficients.
   class Matrix {
    public:
     Matrix(std::size_t rows, std::size_t count) : numbers_(rows * count), count_(count) {}
@@ -52,7 +50,7 @@ template <int D> struct Constraints {
   };
   int count, limits, torsions = 0;  // N, M; the first rows belong to torsion
   ArenaVector<char> soft;
-  // price: normal force = price u; cost: the same, weighted
+  // normal force of a unit of u; the same, weighted
   ArenaVector<double> price, cost, divisor, bound, shares;
   ArenaVector<int> torsion_row;  // (N,) -1: not soft
   // (M,) the one contact that a row acts on; N: none, SEVERAL: more than one
@@ -62,35 +60,35 @@ template <int D> struct Constraints {
   double frame[6][6], lower[6][6] = {};  // L
   WrenchSpace reach;
 
-  explicit Constraints(const ProgramData& given)
-      : count(given.count),
-        limits(given.limits),
+  explicit Constraints(const ProgramData& data)
+      : count(data.count),
+        limits(data.limits),
         soft(count),
         price(count),
         cost(count),
-        divisor(given.divisor, given.divisor + 4 * count),
-        bound(given.bound, given.bound + limits),
-        shares(given.shares, given.shares + limits),
+        divisor(data.divisor, data.divisor + 4 * count),
+        bound(data.bound, data.bound + limits),
+        shares(data.shares, data.shares + limits),
         torsion_row(count, -1),
         owner(limits),
         own(limits),
         balance(6, count),
         limit(limits, count),
         turn(6, count),
-        reach(given.reach) {
-    std::copy(given.frame, given.frame + 36, &frame[0][0]);
+        reach(data.reach) {
+    std::copy(data.frame, data.frame + 36, &frame[0][0]);
     for (int i = 0; i < count; ++i) {
       soft[i] = divisor[4 * i + 3] < infinity;
       price[i] = 1.0 / divisor[4 * i];
-      cost[i] = given.weights[2 * i] * price[i];
+      cost[i] = data.weights[2 * i] * price[i];
       if (soft[i]) torsion_row[i] = torsions++;
     }
-    const auto take = [&](const double* from, int many, Matrix& to) {
+    const auto copy = [&](const double* from, int many, Matrix& to) {
       for (int k = 0; k < many; ++k)
         for (int i = 0; i < count; ++i, from += 4) std::copy(from, from + D, to[k][i].begin());
     };
-    take(given.balance, 6, balance);
-    take(given.rows, limits, limit);
+    copy(data.balance, 6, balance);
+    copy(data.rows, limits, limit);
     find_owners();
     orthonormalise();
   }
@@ -103,8 +101,8 @@ template <int D> struct Constraints {
   }
 
   // Interior point for the first `many` limits. T = 0: least weighted sum of normal forces. T = 1:
-  // least t above each weighted normal force, or above each excess. T = 2: largest depth m, with
-  // the share r of the wrench.
+  // least t above each weighted normal force or each excess. T = 2: largest depth m, with the share
+  // r of the wrench.
   template <class R, int T>
   InteriorPoint<R, D, T> engine(int many, Criterion criterion = Criterion::sum) const {
     InteriorPoint<R, D, T> engine(rows<R, T>(many, criterion), soft);
@@ -114,7 +112,7 @@ template <int D> struct Constraints {
       for (int i = 0; i < count; ++i) engine.cost[i][0] = cost[i];
     return engine;
   }
-  // (1, 0, 0, 1): the direction into a cone.
+  // The direction into a cone.
   static Tuple<double, D> inwards() {
     Tuple<double, D> out{};
     out[0] = 1.0;
@@ -134,9 +132,8 @@ template <int D> struct Constraints {
       for (int q = 0; q < 6; ++q) out[r] += frame[r][q] * wrench[q];
     return out;
   }
-  // The wrench of one in the unit frame, whose moments are about another point and divided by a
-  // length.
-  Vec6 given(const Vec6& unit) const {
+  // The wrench that has these components in the unit frame.
+  Vec6 out_of_unit(const Vec6& unit) const {
     Vec6 out = unit;
     for (int r = 3; r < 6; ++r) {
       for (int q = 0; q < 3; ++q) out[r] -= frame[r][q] * unit[q];
@@ -144,11 +141,11 @@ template <int D> struct Constraints {
     }
     return out;
   }
-  // True if a wrench, unit frame, has a part out of reach that is not rounding.
+  // True if more than rounding of a wrench, unit frame, is out of reach.
   bool is_out_of_reach(const Vec6& unit) const {
     return !reach.full() && grasp::size(reach.beyond(unit)) > BOUNDARY * grasp::size(unit);
   }
-  // Coordinates along the rows of Q of a wrench in the unit frame; what is out of reach has none.
+  // Coordinates of a wrench in the unit frame along the rows of Q, without what is out of reach.
   Vec6 solve_lower(const Vec6& unit) const {
     Vec6 a = unit;
     if (!reach.full())
@@ -159,7 +156,7 @@ template <int D> struct Constraints {
     }
     return a;
   }
-  // Multipliers of the given wrench from those of the orthonormalised balance.
+  // Multipliers of the given wrench from those of the orthonormal balance.
   Vec6 pull_back(const Vec6& a) const { return out_of_frame(solve_upper(a)); }
   // Multipliers of a wrench in the unit frame.
   Vec6 solve_upper(Vec6 a) const {
@@ -178,8 +175,7 @@ template <int D> struct Constraints {
       for (int r = 0; r < 6; ++r) out[q] += frame[r][q] * a[r];
     return out;
   }
-  // Largest number of the least-norm force of an orthonormalised wrench: a size independent of
-  // units.
+  // Largest number of the least-norm force of an orthonormalised wrench, in any units.
   double largest_of(const Vec6& turned) const {
     double most = 0.0;
     for (int i = 0; i < count; ++i)
@@ -200,7 +196,7 @@ template <int D> struct Constraints {
     for (int r = 0; r < 6; ++r) out[r] = product(balance[r], z);
     return out;
   }
-  // True if the rows of balance within reach are independent within rounding.
+  // True if the rows of balance within reach are independent beyond rounding.
   bool independent() const {
     double square = 0.0, inverse = 0.0;
     for (int r = 0; r < 6; ++r) {
@@ -211,9 +207,8 @@ template <int D> struct Constraints {
     }
     return square * inverse * RANK * RANK < 1.0;
   }
-  // Remove the balance residual G z + w from z by the least-norm change; return the remaining
-  // residual. The rounding of z itself stays: with contacts close together, removing it would
-  // change z far more.
+  // Remove the residual G z + w from z by the least-norm change; return what remains. The rounding
+  // of z stays: if contacts are close together, removing it would change z far more.
   double rebalance(Field& z, const Vec6& unit) const {
     double most = 0.0;
     for (int i = 0; i < count; ++i) most = std::max(most, z[i][0]);
@@ -267,7 +262,7 @@ template <int D> struct Constraints {
     return row[0] + (D == 4 && soft[i] ? row[D - 1] : 0.0);
   }
 
-  // Slack of every cone, of w and of every limit, less an allowance for rounding.
+  // Slacks of cones, of w and of limits, less an allowance for rounding.
   template <class Bound>
   void write_slacks(const Field& z, int many, ArenaVector<double>& out, Bound&& right) const {
     int next = 0;
@@ -293,7 +288,7 @@ template <int D> struct Constraints {
   static constexpr int SEVERAL = -1;
   static constexpr double RANK = 1e-13;  // largest ratio of singular values that rounding may cause
   static constexpr double PAD = 6e-16;   // of the terms of a slack: rounding on the way to forces
-  // of the largest normal force: effect of its rounding on balance
+  // effect of the rounding of the largest normal force on balance
   static constexpr double LAST = 4e-16;
 
   void find_owners() {

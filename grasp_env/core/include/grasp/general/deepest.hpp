@@ -1,43 +1,41 @@
-// The force deepest inside the limits of a program, or the twist that proves that no force is
-// inside.
+// The force deepest inside the limits of a program, or the twist that proves that none is inside.
 #pragma once
 #include <grasp/general/constraints.hpp>
 
 namespace grasp {
 
-// A margin up to this, relative to forces that sum to one, counts as the boundary: at rest, no
-// force is strictly inside.
+// Margins up to this, relative to forces that sum to one, count as the boundary.
 inline constexpr double CLEAR = 1e-9;
 
-// CONVERGED: the force is strictly inside and balances `wrench`, which differs from the given one
-// by at most BOUNDARY of it. INFEASIBLE: no force is strictly inside, and `twist` proves it.
+// CONVERGED: the force is strictly inside and balances `wrench`, which is within BOUNDARY of the
+// given one. INFEASIBLE: `twist` proves that no force is strictly inside.
 struct Deepest {
   Code code = REFUSED;
   int iterations = 0;
   double margin = 0.0;
   Vec6 twist{};        // [linear; angular], largest component one
   Vec6 wrench{};       // [N, N m]
-  bool moved = false;  // true if `wrench` is not the given one
+  bool moved = false;  // `wrench` is not the given one
 };
 
 namespace detail {
 
-// Let a record of an optimum for the wrench `made` stand for one close by, with this balance
-// residual. The bound is linear in the wrench: the smaller one holds for both. STALLED if it does
-// not prove the tolerance any more.
-inline void stand_for(const Record& record, const Vec6& made, const double* wrench, double residual,
-                      double tolerance) {
+// Let the optimum for the wrench `solved` stand for a wrench close by, with this balance residual.
+// The bound is linear in the wrench: the smaller one holds for both. STALLED if it no longer proves
+// the tolerance.
+inline void stand_for(const Record& record, const Vec6& solved, const double* wrench,
+                      double residual, double tolerance) {
   Summary& s = record.summary();
   std::copy_n(wrench, 6, s.wrench.begin());
   s.residual = residual;
   double there = s.lower_bound;
-  for (int r = 0; r < 6; ++r) there -= s.multipliers[r] * (wrench[r] - made[r]);
+  for (int r = 0; r < 6; ++r) there -= s.multipliers[r] * (wrench[r] - solved[r]);
   s.lower_bound = std::min(s.lower_bound, there);
   if (record.code() == CONVERGED && !(record.gap() <= tolerance)) s.code = STALLED;
 }
 
-// max m with depth m in all cones and the first limits; forces and the wrench's share r sum to one,
-// m <= r.
+// max m <= r with depth m in all cones and the first limits; forces and the wrench's share r sum
+// to one.
 template <int D> class Depth {
  public:
   using Field = typename Constraints<D>::Field;
@@ -45,12 +43,10 @@ template <int D> class Depth {
   Depth(const Constraints<D>& in, int many)
       : in_(&in), many_(many), slacks_(in.slacks()), multipliers_(in.limits) {}
 
-  // Write the force into z [N]. If CONVERGED, it is strictly inside and balances `wrench` of the
-  // result, which differs from the given one by at most BOUNDARY of it. inside: true if a force
-  // nearer than NEAR to the boundary shall also move away from it.
+  // Write the force into z [N]. inside: move a force nearer than NEAR to the boundary away from it.
   Deepest find(const double* wrench, double tolerance, Field& z, bool inside = false);
-  // Prices of the limits if no force is inside. With the twist v they prove it: G^T v + sum price
-  // row lies in every dual cone, v . w > sum price bound.
+  // Multipliers of the limits if no force is inside. With the twist v they prove it: G^T v + sum
+  // multiplier row lies in every dual cone, v . w > sum multiplier bound.
   const ArenaVector<double>& multipliers() const { return multipliers_; }
 
  private:
@@ -62,7 +58,7 @@ template <int D> class Depth {
                           SEEN = 1e6;  // forces of which a proof speaks, in units of the wrench
   static constexpr double NEEDLESS = 1e-9;  // of the twist: a smaller price of a limit is rounding
   static constexpr double NEAR = 1e-6;      // margin, relative to forces that sum to one
-  // of the depth that a force gains by moving inside: it shall not be used up by rounding
+  // fraction of the depth gained by moving inside that rounding must leave
   static constexpr double ENOUGH = 0.5;
   // of BOUNDARY: how far a wrench is moved; the rest is for rounding
   static constexpr double SHORT = 0.9;
@@ -104,8 +100,8 @@ template <int D> class Depth {
       for (double& value : z[i]) value *= scale;
     }
     if (free || part > 0.0) in_->rebalance(z, unit);
-    for (auto& each : z)
-      for (double& value : each) value *= size;
+    for (auto& zi : z)
+      for (double& value : zi) value *= size;
     Vec6 y;
     for (int r = 0; r < 6; ++r) y[r] = double(at.joint[r]);
     y = in_->solve_upper(y);
@@ -136,10 +132,10 @@ template <int D> class Depth {
     for (double& price : multipliers_) price *= per;
     return result;
   }
-  // The proof that a wrench is out of reach: contacts move so little along this twist that forces
+  // The proof that a wrench is out of reach: along this twist contacts move so little that forces
   // of up to SEEN times the wrench do not make up for it.
   Deepest beyond_reach(const double* wrench) {
-    Deepest found;
+    Deepest result;
     const Vec6 load = in_->in_frame(wrench);
     const Vec6 beyond = in_->reach.beyond(load);
     const double distance = grasp::size(beyond);
@@ -156,35 +152,34 @@ template <int D> class Depth {
         moved = std::max(moved, std::abs(motion) + UNMOVED * terms);
       }
     std::fill(multipliers_.begin(), multipliers_.end(), 0.0);
-    std::copy_n(wrench, 6, found.wrench.begin());
+    std::copy_n(wrench, 6, result.wrench.begin());
     const Vec6 twist = in_->out_of_frame(y);
-    found.twist = (1.0 / grasp::size(twist)) * twist;
-    if (distance > SEEN * moved * grasp::size(load)) found.code = INFEASIBLE;
-    return found;
+    result.twist = (1.0 / grasp::size(twist)) * twist;
+    if (distance > SEEN * moved * grasp::size(load)) result.code = INFEASIBLE;
+    return result;
   }
   double least_slack(const Field& z) {
     in_->write_slacks(z, many_, slacks_, [&](int k) { return in_->bound[k]; });
     return least_of(slacks_);
   }
-  // Drop multipliers of limits that are mere rounding beside the twist: the proof holds without
-  // them.
+  // Drop multipliers of limits that are mere rounding beside the twist.
   void drop_needless_multipliers(const Vec6& y, double size) {
     for (int k = in_->torsions; k < many_; ++k)
       if (multipliers_[k] * std::max(1.0, std::abs(in_->bound[k]) / size) <
           NEEDLESS * grasp::size(y))
         multipliers_[k] = 0.0;
   }
-  // Distance of the wrench from those that the constraints can balance, as the multipliers show it:
-  // a fraction of the wrench.
+  // Distance of the wrench from those that can be balanced, as the multipliers show it: a fraction
+  // of the wrench.
   double separation(const Vec6& y, const Vec6& unit, double size) const {
     double value = dot(y, unit);
     for (int k = 0; k < many_; ++k) value -= multipliers_[k] * in_->bound[k] / size;
     return value / (sum_of_sizes(y) * grasp::size(unit));
   }
-  // Move z, at the boundary of the constraints, towards a force well inside them. This changes the
-  // wrench by less than BOUNDARY of it. Return true if z is then strictly inside, with the wrench
-  // that it balances in `found`.
-  bool move_inside(const Vec6& load, Field& z, Deepest& found) {
+  // Move z from the boundary of the constraints towards a force well inside, which changes the
+  // wrench by less than BOUNDARY of it. Return true if z is then strictly inside; `result` has the
+  // wrench that it balances.
+  bool move_inside(const Vec6& load, Field& z, Deepest& result) {
     const double size = grasp::size(load);
     const Arena::Scope scope;
     Field inside(in_->count);
@@ -200,18 +195,18 @@ template <int D> class Depth {
           std::min(1.0, SHORT * BOUNDARY * size / grasp::size(in_->wrench_of(inside) + load));
       for (int i = 0; i < in_->count; ++i)
         for (int a = 0; a < D; ++a) inside[i][a] = (1.0 - part) * z[i][a] + part * inside[i][a];
-      const Vec6 made = in_->wrench_of(inside);
+      const Vec6 balanced = in_->wrench_of(inside);
       if (!(least_slack(inside) > ENOUGH * part * room &&
-            grasp::size(made + load) <= BOUNDARY * size))
+            grasp::size(balanced + load) <= BOUNDARY * size))
         continue;
       z = inside;
-      found.moved = true;
-      found.wrench = in_->given(-1.0 * made);
+      result.moved = true;
+      result.wrench = in_->out_of_unit(-1.0 * balanced);
       return true;
     }
     return false;
   }
-  // Scaling of a row: a bound far above the wrench gives a row of the bound's size.
+  // Scaling of a row whose bound is far above the wrench: its size is that of the bound.
   double row_scale(int k, double size) const {
     return 1.0 / std::max(1.0, std::abs(in_->bound[k]) / size);
   }
@@ -221,7 +216,6 @@ template <int D> class Depth {
     for (int i = 0; i < in_->count; ++i) total += in_->inward(i, in_->limit[k][i]);
     return total;
   }
-  // Multipliers of the limits.
   template <class R> void price(const InteriorPoint<R, D, 2>& engine, double size) {
     const auto& rows = engine.rows;
     for (const auto& row : rows.own)
@@ -233,10 +227,9 @@ template <int D> class Depth {
           row_scale(rows.label[r], size) * std::max(double(engine.at.joint[r]), 0.0);
   }
   // True if the twist y (unit frame) and the limits' multipliers prove that no force is within the
-  // limits: G^T y + sum price row lies in every dual cone, and y . w > sum price bound. What it
-  // lacks of a dual cone must be too little to matter for any force of up to COVERED times the
-  // wrench, or if rounding hides it, of up to SEEN times the wrench. The origin of y and of the
-  // multipliers does not matter.
+  // limits: G^T y + sum multiplier row lies in every dual cone, and y . w > sum multiplier bound.
+  // What it lacks of a dual cone must not matter for any force of up to COVERED times the wrench
+  // or, if rounding hides it, SEEN times.
   bool proves_infeasible(const Vec6& y, const Vec6& unit, double size) {
     const double rounding = ROUNDING * (8 + many_);
     double lacking = 0.0, hidden = 0.0;
@@ -270,21 +263,21 @@ template <int D> class Depth {
     for (int k = 0; k < many_; ++k) take(-multipliers_[k] * in_->bound[k] / size);
     return value > rounding * terms + COVERED * lacking + SEEN * hidden && terms < infinity;
   }
-  // Set up the program for a wrench, scaled to its size: the orthonormalised balance and every
-  // limit.
+  // Set up the program for a wrench, scaled to its size.
   template <class R>
   void set_up(InteriorPoint<R, D, 2>& engine, const Vec6& turned, double size) const {
     auto& at = engine.at;
     for (int r = 0; r < engine.rows.joint; ++r) {
-      const int name = engine.rows.label[r];
+      const int label = engine.rows.label[r];
       if (r < 6) engine.rows.coupling[r][1] = turned[r];
       engine.rows.right[r] = r == 6 ? 1.0 : 0.0;
-      if (name >= 0) {
-        const double part = row_scale(name, size);
-        engine.rows.coupling[r] = {R(part * depth_slack(name)), R(-part * in_->bound[name] / size)};
+      if (label >= 0) {
+        const double part = row_scale(label, size);
+        engine.rows.coupling[r] = {R(part * depth_slack(label)),
+                                   R(-part * in_->bound[label] / size)};
         for (int i = 0; i < in_->count; ++i)
           for (int a = 0; a < D; ++a)
-            engine.rows.columns[engine.rows.joint * i + r][a] = part * in_->limit[name][i][a];
+            engine.rows.columns[engine.rows.joint * i + r][a] = part * in_->limit[label][i][a];
       }
       at.joint[r] = r < 7 ? 0.0 : 1.0;
       at.joint_slack[r] = 1.0;
@@ -308,12 +301,12 @@ template <int D> class Depth {
 template <int D>
 Deepest Depth<D>::find(const double* wrench, double tolerance, Field& z, bool inside) {
   if (in_->is_out_of_reach(in_->in_frame(wrench))) return beyond_reach(wrench);
-  Deepest found = find<double>(wrench, tolerance, z);
-  if (found.code != CONVERGED && found.code != INFEASIBLE)
-    found = find<DoubleDouble>(wrench, tolerance, z);
-  if (inside && found.code == CONVERGED && !found.moved && found.margin < NEAR)
-    move_inside(in_->in_frame(wrench), z, found);
-  return found;
+  Deepest result = find<double>(wrench, tolerance, z);
+  if (result.code != CONVERGED && result.code != INFEASIBLE)
+    result = find<DoubleDouble>(wrench, tolerance, z);
+  if (inside && result.code == CONVERGED && !result.moved && result.margin < NEAR)
+    move_inside(in_->in_frame(wrench), z, result);
+  return result;
 }
 
 }  // namespace detail

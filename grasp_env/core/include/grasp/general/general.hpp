@@ -1,6 +1,5 @@
 // The general program for real-time code: any contacts, any limits, and continuation of faster
-// algorithms that give up. The constructor allocates for a number of contacts and limits; placing
-// and solving then allocate nothing.
+// algorithms that give up. The constructor allocates; placing and solving then allocate nothing.
 #pragma once
 #include <grasp/limits/force_limits.hpp>
 #include <grasp/general/program.hpp>
@@ -9,17 +8,15 @@ namespace grasp {
 
 class General {
  public:
-  // of wrench and force: largest balance residual of a given start
+  // largest balance residual of a given start, as a fraction of wrench and force
   static constexpr double BALANCE_TOLERANCE = 1e-8;
   static constexpr int CONIC_ITERATIONS = 100;  // of an interior point; a dozen is usual
 
   General() = default;
-  // For at most so many contacts and rows of limits; soft: torsion may be transmitted. Allocates
-  // here for the worst rows, unless that takes more than LARGEST_ROOM; then, and for more contacts,
-  // `place` allocates what it lacks.
+  // For at most so many contacts and rows of limits; soft: torsion may be transmitted. If the worst
+  // rows need more than LARGEST_ROOM, and for more contacts, `place` allocates what it lacks.
   explicit General(int contacts, int limits = 0, bool soft = false)
       : arena_(clamped_size(bytes_needed(contacts, limits, limits, soft))) {}
-  // A copy has as much memory, and nothing placed.
   General(const General& other) : arena_(other.arena_.size()) {}
   General& operator=(const General& other) {
     forget();
@@ -27,24 +24,24 @@ class General {
     return *this;
   }
 
-  // Take over the current, placed contacts and their weights. torsion_divisor: (N,) v = divisor *
-  // torsion [1 / m], abs(v) <= normal force in cone coordinates; inf or 0: not soft; null: no soft
-  // contacts. limits: their Jacobian is (N, each, J), each = 3, or 4 with the torsion's row.
-  // internal: (N, 3) an internal force strictly inside the cones; null: `conic` finds one.
-  // rank_lost: rounding hides which wrenches the contacts can make. Keeps no argument.
+  // Take over the placed contacts and their weights; keeps no argument. torsion_divisor: (N,) v =
+  // divisor * torsion [1 / m], abs(v) <= normal force in cone coordinates; inf or 0: not soft.
+  // limits: their Jacobian is (N, width, J), width = 3, or 4 with the row of torsion. internal: (N,
+  // 3) an internal force strictly inside the cones; null: `least_normal` finds one. rank_lost:
+  // rounding hides which wrenches the contacts can make.
   Placing place(const Contacts& contacts, const double* torsion_divisor = nullptr,
-                const ForceLimits& limits = {}, int each = 3, const double* internal = nullptr) {
+                const ForceLimits& limits = {}, int width = 3, const double* internal = nullptr) {
     forget();
     const int count = contacts.count;
-    const int given = limits.many();
+    const int rows = limits.many();
     int torsions = 0;
     for (int i = 0; torsion_divisor && i < count; ++i) torsions += soft(torsion_divisor[i]);
-    const int several = std::min(given, 2 * int(limits.torque_limit.size()));
+    const int several = std::min(rows, 2 * int(limits.torque_limit.size()));
     if (count == 0) return Placing::rank_lost;
-    arena_.reserve(bytes_needed(count, given, several, torsions > 0));
+    arena_.reserve(bytes_needed(count, rows, several, torsions > 0));
     const Arena::Use use(arena_);
-    Inputs& inputs = inputs_.emplace(count, torsions + given, torsions);
-    const bool is_in_range = inputs.set(contacts, torsion_divisor) && inputs.set(limits, each);
+    Inputs& inputs = inputs_.emplace(count, torsions + rows, torsions);
+    const bool is_in_range = inputs.set(contacts, torsion_divisor) && inputs.set(limits, width);
     if (is_in_range) {
       double frame[36];
       contacts.unit.write(frame);
@@ -64,95 +61,94 @@ class General {
   bool placed() const { return bool(program_); }
   int count() const { return placed() ? inputs_->count : 0; }
 
-  // The following functions need placed contacts, and records for as many contacts.
+  // The functions below need placed contacts, and records for as many contacts.
 
   // Minimise the sum or the largest of the weighted normal forces. INFEASIBLE: the record holds the
-  // twist that proves it. UNDECIDED: neither found.
-  Code conic(const double* wrench, Criterion criterion, const StopRule& options,
-             const Record& record) {
+  // twist that proves it. UNDECIDED: neither a force nor a proof.
+  Code least_normal(const double* wrench, Criterion criterion, const StopRule& options,
+                    const Record& record) {
     const Arena::Use use(arena_);
     const Code code =
         least(wrench, criterion, {options.tolerance, CONIC_ITERATIONS}, options.limit, record);
     const Summary& s = record.summary();
-    // neither holds a digit
     const bool lost = code == STALLED && s.lower_bound > (1.0 + 1e-6) * s.objective;
     if ((code != REFUSED && !lost) || !is_valid_wrench(wrench)) return code;
     return refute(deepest(wrench), wrench, record);
   }
-  // Minimise the sum, continuing the record of a solver that stopped short of the tolerance. The
-  // better result stays; iterations add up.
-  Code conic_from(const StopRule& options, const Record& record) {
+  // Minimise the sum from the record of a solver that stopped short of the tolerance. The better
+  // result stays; iterations add up.
+  Code least_normal_from(const StopRule& options, const Record& record) {
     const Arena::Use use(arena_);
     Summary& before = record.summary();
     const int left = options.limit - int(before.iterations);
     const bool stopped = record.code() == STALLED || record.code() == LIMIT;
     if (!stopped || left <= 0 || !gap_exceeds_rounding(before, options.tolerance))
       return record.code();
-    const Record made(inputs_->record.data(), inputs_->count);
+    const Record next(inputs_->record.data(), inputs_->count);
     const Code code = least(before.wrench.data(), Criterion::sum,
-                            {options.tolerance, CONIC_ITERATIONS}, left, made);
+                            {options.tolerance, CONIC_ITERATIONS}, left, next);
     const bool ended = code == STALLED || code == LIMIT;
     const Vec6 wrench = before.wrench;
-    if (code == CONVERGED || (ended && gap(made.summary()) < gap(before))) {
-      replace_record(made, record);
+    if (code == CONVERGED || (ended && gap(next.summary()) < gap(before))) {
+      replace_record(next, record);
     } else if (!ended && gap(before) > before.lower_bound) {  // neither holds a digit
-      if (code == INFEASIBLE) return replace_record(made, record);
+      if (code == INFEASIBLE) return replace_record(next, record);
       return refute(deepest(wrench.data()), wrench.data(), record);
     }
     const bool digits = gap(before) <= before.lower_bound &&
                         before.residual <= MISSED * program_->unit_size(wrench.data());
     if (record.code() == CONVERGED || digits) return record.code();
     // the forces are so far above the wrench that they prove nothing
-    const Deepest found = deepest(wrench.data());
-    return found.code == INFEASIBLE ? refute(found, wrench.data(), record) : record.code();
+    const Deepest result = deepest(wrench.data());
+    return result.code == INFEASIBLE ? refute(result, wrench.data(), record) : record.code();
   }
 
-  // True if the start of a call is strictly inside, so that `phi` uses it.
+  // True if `phi` can use the start of a call: it is strictly inside.
   bool starts_from(const Call& call) {
     const Arena::Use use(arena_);
     return has_start(call);
   }
-  // Minimise Phi. From::given: from the call's force and torsion, if they are balanced and strictly
-  // inside. From::tangent: from the nearest balanced force, if it is strictly inside. Otherwise
-  // from the deepest force. INFEASIBLE, UNDECIDED: as for `conic`.
+  // Minimise Phi, from the start of the call if it is strictly inside: From::given, its balanced
+  // force and torsion; From::tangent, the nearest balanced force. Otherwise from the deepest force.
+  // INFEASIBLE, UNDECIDED: as for `least_normal`.
   Code phi(const Call& call, const Record& record) {
     const Arena::Use use(arena_);
     record.clear();
     record.summary().code = REFUSED;
     if (!is_valid_wrench(call.wrench)) return REFUSED;
-    Call ask = call;
-    Deepest found;
+    Call stage = call;
+    Deepest result;
     if (!has_start(call)) {
-      found = begin(call.wrench);
-      if (found.code != CONVERGED) return refute(found, call.wrench, record);
-      if (found.moved) ask.wrench = found.wrench.data();
+      result = begin(call.wrench);
+      if (result.code != CONVERGED) return refute(result, call.wrench, record);
+      if (result.moved) stage.wrench = result.wrench.data();
     }
-    const Code code = least_phi(ask, record);
+    const Code code = least_phi(stage, record);
     inputs_->store(inputs_->z.data(), record.initial_force(), nullptr);
-    ask = call;
-    ask.stop.limit -= int(record.summary().iterations);
-    if ((code == REFUSED || (code == STALLED && !found.moved)) && phi_inside(ask, record))
+    stage = call;
+    stage.stop.limit -= int(record.summary().iterations);
+    if ((code == REFUSED || (code == STALLED && !result.moved)) && phi_inside(stage, record))
       return record.code();
     if (code == REFUSED) return refute({}, call.wrench, record);
-    if (found.moved) stand_for(found.wrench, call, record);
+    if (result.moved) stand_for(result.wrench, call, record);
     return record.code();
   }
-  // Continue a record that stalled with more than rounding left, with at most MORE_STEPS further
-  // steps. The better result stays.
+  // Continue a record that stalled above rounding, with at most MORE_STEPS steps. The better result
+  // stays.
   Code phi_from(const StopRule& options, const Record& record) {
     const Arena::Use use(arena_);
     Summary& before = record.summary();
     const int left = options.limit - int(before.iterations);
     if (record.code() != STALLED || left <= 0 || !gap_exceeds_rounding(before, options.tolerance))
       return record.code();
-    const Record made(inputs_->record.data(), inputs_->count);
+    const Record next(inputs_->record.data(), inputs_->count);
     inputs_->load(record.force(), record.torsion());
     const Code code = least_phi(
         {.wrench = before.wrench.data(), .stop = {options.tolerance, std::min(left, MORE_STEPS)}},
-        made);
-    if (code == CONVERGED || (code != REFUSED && made.summary().objective < before.objective)) {
-      made.summary().code = code == LIMIT && left > MORE_STEPS ? STALLED : code;
-      replace_record(made, record);
+        next);
+    if (code == CONVERGED || (code != REFUSED && next.summary().objective < before.objective)) {
+      next.summary().code = code == LIMIT && left > MORE_STEPS ? STALLED : code;
+      replace_record(next, record);
     }
     if (record.code() == STALLED) {
       const Vec6 wrench = before.wrench;
@@ -163,33 +159,33 @@ class General {
     return record.code();
   }
 
-  // If a record is INFEASIBLE, replace it by the balanced force inside the cones that exceeds the
-  // limits least, LIMITS_EXCEEDED, if one exists.
+  // Replace an INFEASIBLE record by the balanced force in the cones that exceeds the limits least,
+  // LIMITS_EXCEEDED, if one exists.
   Code excess(const StopRule& options, const Record& record) {
     const Arena::Use use(arena_);
     Summary& before = record.summary();
     const int left = options.limit - int(before.iterations);
     if (record.code() != INFEASIBLE || left <= 0 || inputs_->limits == inputs_->torsions)
       return record.code();
-    const Record made(inputs_->record.data(), inputs_->count);
+    const Record next(inputs_->record.data(), inputs_->count);
     const StopRule elastic{EXCESS_WITHIN, CONIC_ITERATIONS};
-    if (least(before.wrench.data(), Criterion::excess, elastic, left, made) != LIMITS_EXCEEDED) {
+    if (least(before.wrench.data(), Criterion::excess, elastic, left, next) != LIMITS_EXCEEDED) {
       deepest(before.wrench.data());  // restore the multipliers of the proof
       return record.code();
     }
-    std::copy(made.force(), made.force() + 3 * inputs_->count, record.initial_force());
-    return replace_record(made, record);
+    std::copy(next.force(), next.force() + 3 * inputs_->count, record.initial_force());
+    return replace_record(next, record);
   }
 
-  // Find the force (N, 3) [N] and torsion (N,) [N m] deepest inside all constraints; see `Program`.
+  // Find the force (N, 3) [N] and torsion (N,) [N m] deepest inside all constraints.
   Deepest deepest(const double* wrench, double tolerance, double* force, double* torsion) {
     const Arena::Use use(arena_);
-    const Deepest found = deepest(wrench, tolerance);
+    const Deepest result = deepest(wrench, tolerance);
     inputs_->store(inputs_->z.data(), force, torsion);
-    return found;
+    return result;
   }
-  // Balance residual of a force (N, 3) with torsion (N,), or null, unit frame [N]; and its smallest
-  // slack: above 0 if strictly inside.
+  // Balance residual of a force (N, 3) and torsion (N,), or null, unit frame [N]; smallest slack:
+  // above 0 if strictly inside.
   double missed(const double* wrench, const double* force, const double* torsion) {
     inputs_->load(force, torsion);
     return program_->missed(wrench, inputs_->z.data());
@@ -199,9 +195,8 @@ class General {
     return program_->slack(inputs_->z.data());
   }
 
-  // Prices of the last `phi`, `phi_from` or `conic`, or of the proof if there is no force: one per
-  // given limit. `all_multipliers` begins with those of the limit torsion >= -friction * normal of
-  // each soft contact.
+  // Multipliers of the last solve, or of the proof if there is no force: one per limit.
+  // `all_multipliers` begins with those of torsion >= -friction * normal of each soft contact.
   std::span<const double> all_multipliers() const {
     return placed() ? inputs_->multipliers : std::span<const double>();
   }
@@ -210,11 +205,11 @@ class General {
   }
 
  private:
-  // bytes that may be allocated before they are needed
+  // bytes that the constructor may allocate
   static constexpr std::size_t LARGEST_ROOM = std::size_t(1) << 24;
   static constexpr double LAST_DIGITS = 1e-9;  // relative gap that double precision cannot close
   static constexpr int MORE_STEPS = 1000;      // for a stalled solver: 60 ms with four contacts
-  // of the wrench: an answer with a larger balance residual is rejected
+  // fraction of the wrench: an answer with a larger balance residual is rejected
   static constexpr double MISSED = 1e-3;
   static constexpr double NEARLY_ZERO = 1e-9;  // [N], [N m]
   static constexpr double MOST_FORCE = 1e20;   // [N] limits above this are rejected
@@ -250,7 +245,6 @@ class General {
              Arena::bytes_needed<double>(2 * count) +
              Arena::bytes_needed<double>(record_size(count));
     }
-    // Return false if numbers are not finite.
     bool set(const Contacts& contacts, const double* torsion_divisor) {
       double total = 0.0;
       for (int i = 0, k = 0; i < count; ++i) {
@@ -268,9 +262,9 @@ class General {
         divisor[4 * i + 3] = torsion_divisor[i];
         const double* frame = contacts.frames.data() + 9 * i;
         const double axis[6] = {0.0, 0.0, 0.0, frame[0], frame[3], frame[6]};
-        const Vec6 made = contacts.unit.of(axis);
+        const Vec6 moment = contacts.unit.of(axis);
         for (int r = 0; r < 6; ++r)
-          add_torsion(&balance[4 * (count * r + i)], made[r] / torsion_divisor[i]);
+          add_torsion(&balance[4 * (count * r + i)], moment[r] / torsion_divisor[i]);
         double* row = &rows[4 * (count * k + i)];  // torsion >= -u is w <= 2 u
         row[0] = -2.0;
         row[3] = 1.0;
@@ -279,39 +273,39 @@ class General {
       }
       return total < infinity;
     }
-    bool set(const ForceLimits& given, int each) {
+    bool set(const ForceLimits& hand, int width) {
       int k = torsions;
       bool good = true;
-      given.rows(count, each, std::span(row).first(each * count),
-                 [&](std::span<const double> from, double b, double limit) {
-                   double* to = &rows[4 * count * k];
-                   double square = 0.0, lambda = 0.0, all = 0.0;
-                   int touched = 0;
-                   for (int i = 0; i < count; ++i, to += 4) {
-                     for (int a = 0; a < 3; ++a) to[a] = from[each * i + a] / divisor[4 * i + a];
-                     if (each == 4) add_torsion(to, from[4 * i + 3] / divisor[4 * i + 3]);
-                     const double part =
-                         to[0] * to[0] + to[1] * to[1] + to[2] * to[2] + to[3] * to[3];
-                     const double mine = weights[2 * i + 1];
-                     square += part;
-                     all += mine;
-                     if (part > 0.0) {
-                       lambda += mine;
-                       ++touched;
-                     }
-                   }
-                   // a torque that no force changes has zero length
-                   const double size = sizes[k] = square == 0.0 ? 1.0 : std::sqrt(square);
-                   const double per = 1.0 / size;
-                   for (to = &rows[4 * count * k]; to < &rows[0] + 4 * count * (k + 1); ++to)
-                     *to *= per;
-                   bound[k] = b / size;
-                   shares[k] = limit / size;
-                   row_weights[k] = touched ? lambda / touched : all / count;
-                   good = good && size < infinity && std::abs(bound[k]) <= MOST_FORCE &&
-                          std::abs(shares[k]) <= MOST_FORCE;
-                   ++k;
-                 });
+      hand.rows(count, width, std::span(row).first(width * count),
+                [&](std::span<const double> from, double b, double limit) {
+                  double* to = &rows[4 * count * k];
+                  double square = 0.0, lambda = 0.0, all = 0.0;
+                  int touched = 0;
+                  for (int i = 0; i < count; ++i, to += 4) {
+                    for (int a = 0; a < 3; ++a) to[a] = from[width * i + a] / divisor[4 * i + a];
+                    if (width == 4) add_torsion(to, from[4 * i + 3] / divisor[4 * i + 3]);
+                    const double part =
+                        to[0] * to[0] + to[1] * to[1] + to[2] * to[2] + to[3] * to[3];
+                    const double weight = weights[2 * i + 1];
+                    square += part;
+                    all += weight;
+                    if (part > 0.0) {
+                      lambda += weight;
+                      ++touched;
+                    }
+                  }
+                  // zero: no force changes this torque
+                  const double size = sizes[k] = square == 0.0 ? 1.0 : std::sqrt(square);
+                  const double per = 1.0 / size;
+                  for (to = &rows[4 * count * k]; to < &rows[0] + 4 * count * (k + 1); ++to)
+                    *to *= per;
+                  bound[k] = b / size;
+                  shares[k] = limit / size;
+                  row_weights[k] = touched ? lambda / touched : all / count;
+                  good = good && size < infinity && std::abs(bound[k]) <= MOST_FORCE &&
+                         std::abs(shares[k]) <= MOST_FORCE;
+                  ++k;
+                });
       return good;
     }
     // (u, o, t, w) from forces and torsions (null: zero), and back
@@ -376,25 +370,25 @@ class General {
     return code;
   }
   Deepest deepest(const double* wrench, double tolerance = 1e-7, bool inside = false) {
-    const Deepest found = program_->deepest(wrench, tolerance, inputs_->z.data(),
-                                            inputs_->multipliers.data(), inside);
-    unscale_multipliers(found.code);
-    return found;
+    const Deepest result = program_->deepest(wrench, tolerance, inputs_->z.data(),
+                                             inputs_->multipliers.data(), inside);
+    unscale_multipliers(result.code);
+    return result;
   }
-  // Find the deepest force, in z. For a nearly zero wrench, whose deepest force is far from the
-  // optimum of Phi, balance that of the zero wrench.
+  // Find the deepest force, in z. If the wrench is nearly zero, its deepest force is far from the
+  // optimum of Phi: balance that of the zero wrench.
   Deepest begin(const double* wrench) {
     const double nothing[6] = {};
     if (std::all_of(wrench, wrench + 6, [](double part) { return std::abs(part) < NEARLY_ZERO; })) {
-      const Deepest found = deepest(nothing);
-      if (found.code == CONVERGED) {
+      const Deepest result = deepest(nothing);
+      if (result.code == CONVERGED) {
         program_->balance(wrench, inputs_->z.data());
-        if (program_->slack(inputs_->z.data()) > 0.0) return found;
+        if (program_->slack(inputs_->z.data()) > 0.0) return result;
       }
     }
     return deepest(wrench);
   }
-  // True if the call has a start; writes it into z.
+  // True if the call has a start, which goes into z.
   bool has_start(const Call& call) {
     if (call.start == From::combination || !call.force) return false;
     inputs_->load(call.force, call.torsion);
@@ -411,49 +405,48 @@ class General {
     return program_->slack(z) > 0.0;
   }
   // If the wrench is next to the boundary of the constraints, replace a record without an optimum
-  // by the optimum for a wrench just inside, see `Deepest`. Return true if that converged;
-  // otherwise the record stays.
+  // by the optimum for a wrench just inside, see `Deepest`. Return true if that converged.
   bool phi_inside(const Call& call, const Record& record) {
     if (call.optimum == call.optimum || call.traced || call.stop.limit <= 0) return false;
     inputs_->kept_multipliers = inputs_->multipliers;
-    const Deepest found = deepest(call.wrench, 1e-7, true);
-    const Record made(inputs_->record.data(), inputs_->count);
-    bool good = found.code == CONVERGED && found.moved;
+    const Deepest result = deepest(call.wrench, 1e-7, true);
+    const Record next(inputs_->record.data(), inputs_->count);
+    bool good = result.code == CONVERGED && result.moved;
     if (good) {
-      least_phi({.wrench = found.wrench.data(), .stop = call.stop}, made);
-      stand_for(found.wrench, call, made);
-      good = made.code() == CONVERGED;
+      least_phi({.wrench = result.wrench.data(), .stop = call.stop}, next);
+      stand_for(result.wrench, call, next);
+      good = next.code() == CONVERGED;
     }
     if (good)
-      replace_record(made, record);
+      replace_record(next, record);
     else
       inputs_->multipliers = inputs_->kept_multipliers;
     return good;
   }
-  void stand_for(const Vec6& made, const Call& call, const Record& record) {
-    detail::stand_for(record, made, call.wrench,
+  void stand_for(const Vec6& balanced, const Call& call, const Record& record) {
+    detail::stand_for(record, balanced, call.wrench,
                       missed(call.wrench, record.force(), record.torsion()), call.stop.tolerance);
   }
-  // Record the proof that no force exists, or UNDECIDED.
-  Code refute(const Deepest& found, const double* wrench, const Record& record) {
-    if (found.code != INFEASIBLE)
+  // Write the proof that no force exists, or UNDECIDED.
+  Code refute(const Deepest& result, const double* wrench, const Record& record) {
+    if (result.code != INFEASIBLE)
       std::fill(inputs_->multipliers.begin(), inputs_->multipliers.end(), 0.0);
     record.clear();
     std::copy(wrench, wrench + 6, record.summary().wrench.begin());
-    if (found.code == INFEASIBLE) return record.refute(found.twist, program_->unit_size(wrench));
+    if (result.code == INFEASIBLE) return record.refute(result.twist, program_->unit_size(wrench));
     record.summary().code = UNDECIDED;
     return UNDECIDED;
   }
-  // Replace a record by a later solution, keeping the initial force and adding up the steps.
-  Code replace_record(const Record& made, const Record& record) {
+  // Replace a record by a later solution; the initial force stays, steps add up.
+  Code replace_record(const Record& next, const Record& record) {
     const int count = inputs_->count;
     Summary& to = record.summary();
     const double iterations = to.iterations, trials = to.trials;
-    to = made.summary();
+    to = next.summary();
     to.iterations += iterations;
     to.trials += trials;
-    std::copy(made.force(), made.force() + 3 * count, record.force());
-    std::copy(made.torsion(), made.torsion() + count, record.torsion());
+    std::copy(next.force(), next.force() + 3 * count, record.force());
+    std::copy(next.torsion(), next.torsion() + count, record.torsion());
     return record.code();
   }
 };

@@ -5,9 +5,8 @@
 //     min  sum_i c_i . z_i + d . t   s.t.   rows (`Rows`),  (u, o, t)_i in its cone,  w_i >= 0 if
 //     contact i is soft
 //
-// A start may violate its equations; one that keeps them stays a valid grasp throughout. Slacks are
-// separate variables, so none is a difference that cancels, and each direction is refined by its
-// residual in the equations themselves.
+// A start may violate its equations; iterates of one that keeps them keep them. Slacks are separate
+// variables, so none is a difference that cancels. Directions are refined by their residuals.
 //
 // Separate from `conic.hpp`, whose steps serve one problem and a register of them: four hard
 // contacts take 1.5 us there and 5.5 here.
@@ -20,22 +19,23 @@ namespace grasp {
 
 template <class R, int D, int T> class InteriorPoint {
  public:
+  using Field = ArenaVector<Tuple<R, D>>;
   struct State {
-    ArenaVector<Tuple<R, D>> z, s;  // primal and dual, strictly inside
+    Field z, s;  // primal and dual, strictly inside
     Tuple<R, T> t{};
     ArenaVector<R> own, joint;              // multipliers; > 0 for limits
     ArenaVector<R> own_slack, joint_slack;  // > 0 for limits
   };
   Rows<R, D, T> rows;
-  ArenaVector<Tuple<R, D>> cost;
+  Field cost;
   Tuple<R, T> shared_cost{};
-  // true if w is a variable; otherwise it stays 1 and no row acts on it
+  // false: w stays 1 and no row acts on it
   std::span<const char> soft;
   State at;  // the start, then the answer
   int iterations = 0;
 
-  InteriorPoint(Rows<R, D, T> given, std::span<const char> soft)
-      : rows(std::move(given)),
+  InteriorPoint(Rows<R, D, T> constraints, std::span<const char> soft)
+      : rows(std::move(constraints)),
         cost(rows.count),
         soft(soft),
         system_(rows),
@@ -73,11 +73,11 @@ template <class R, int D, int T> class InteriorPoint {
     return total;
   }
 
-  // Iterate until accept() returns a gap within the tolerance. accept() is called when the iterate
-  // is feasible with a gap of at most tolerance * |objective| + absolute, or already from a gap of
-  // `accept_factor` * |objective|. If the gap is closed but an equation is not, or accept() has no
-  // force at all because shortened steps never kept the equations, up to SETTLINGS settling steps
-  // follow. Ends at the best feasible iterate.
+  // Iterate until accept() returns a gap within the tolerance. accept() is called for feasible
+  // iterates with a gap of at most tolerance * |objective| + absolute, or already `accept_factor` *
+  // |objective|. If the gap is closed but an equation is not, or accept() has no force because
+  // shortened steps never kept the equations, up to SETTLINGS settling steps follow. Ends at the
+  // best feasible iterate.
   template <class Accept>
   Code run(double tolerance, double absolute, double accept_factor, int limit, Accept&& accept) {
     double goal = tolerance;
@@ -100,10 +100,10 @@ template <class R, int D, int T> class InteriorPoint {
       if (!(m.primal < FEASIBLE && m.dual < FEASIBLE)) {
         settle = close && m.dual < FEASIBLE && settled++ < SETTLINGS;
       } else if (close || m.gap <= accept_factor * m.size + absolute) {
-        const double found = accept();
-        done = found <= tolerance;
+        const double gap = accept();
+        done = gap <= tolerance;
         settle =
-            close && !(found < infinity) && m.primal > EQUATION_ROUNDING && settled++ < SETTLINGS;
+            close && !(gap < infinity) && m.primal > EQUATION_ROUNDING && settled++ < SETTLINGS;
         while (!done && !settle && !spent && m.gap <= goal * m.size + absolute) {
           goal *= 0.1;
           spent = goal < 1e-3 * tolerance || !(m.gap > 0.0);
@@ -138,7 +138,7 @@ template <class R, int D, int T> class InteriorPoint {
   RowSystem<R, D, T> system_;
   Space<R, D, T> f_, d_, left_, more_, residual_;  // d_.z is the scaled direction W^-1 dz
   State best_;
-  ArenaVector<Tuple<R, D>> ds_, dz_;
+  Field ds_, dz_;
   ArenaVector<Scaling<R>> scaling_;
   ArenaVector<R> kappa_own_, dslack_own_, kappa_joint_, dslack_joint_;
 
@@ -147,7 +147,7 @@ template <class R, int D, int T> class InteriorPoint {
     bool diverges;
   };
 
-  // Write the residuals of the equations into `residual_`; return the gap and the sizes.
+  // Write the residuals of the equations; return the gap and the sizes.
   Measured measure() {
     return sized<R>(rows.joint, [&](auto joint) { return measure(joint); });
   }
@@ -213,11 +213,10 @@ template <class R, int D, int T> class InteriorPoint {
     return total;
   }
 
-  // The scaled dual s, W s.
   Tuple<R, D> scaled(int i, const Tuple<R, D>& a) const { return system_.shapes[i] * a; }
 
-  // Take a step: from the gap to the one that Mehrotra's predictor finds. settle: to this gap, so
-  // that whole steps stay inside and keep every equation.
+  // Step from the gap to the one that Mehrotra's predictor finds. settle: step to this gap, so that
+  // whole steps stay inside and keep every equation.
   bool step(const R& gap, bool settle) {
     for (int i = 0; i < rows.count; ++i) {
       const Scaling<R>& m = scaling_[i] = Scaling<R>(cone(at.z[i]), cone(at.s[i]));
@@ -268,16 +267,15 @@ template <class R, int D, int T> class InteriorPoint {
     return true;
   }
 
-  // A zero predictor.
   void clear_predictor() {
     d_.z.assign(rows.count, {});
     ds_.assign(rows.count, {});
-    for (auto* each : {&d_.own, &d_.joint, &dslack_own_, &dslack_joint_})
-      std::fill(each->begin(), each->end(), R(0.0));
+    for (auto* values : {&d_.own, &d_.joint, &dslack_own_, &dslack_joint_})
+      std::fill(values->begin(), values->end(), R(0.0));
   }
 
   // The direction towards complementarity `target`. second: with the second-order term of the
-  // predictor, still stored in d_, ds_ and dslack_.
+  // predictor, which is still stored.
   void find_direction(const R& target, bool second, int refinements) {
     for (int i = 0; i < rows.count; ++i) {
       const Tuple<R, D> ls = scaled(i, at.s[i]);

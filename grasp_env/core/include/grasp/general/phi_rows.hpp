@@ -2,8 +2,8 @@
 // tr P^-1. Balance and rows are as in `rows.hpp`; a contact's block is written in the axes of its
 // inverse Hessian, H^-1 = F F^T (`Axes`).
 //
-// The loop is the common one (`run_descent`). The steps are separate from those of `NewtonSolver`,
-// which stay in registers: four hard contacts take 1.1 us there and 7 here.
+// The steps are separate from those of `NewtonSolver`, which stay in registers: four hard contacts
+// take 1.1 us there and 7 here.
 #pragma once
 #include <climits>
 #include <grasp/newton/newton.hpp>
@@ -14,17 +14,18 @@ namespace grasp {
 
 template <class R, int D> class PhiRows {
  public:
+  using Field = ArenaVector<Tuple<R, D>>;
   Rows<R, D, 0> rows;
   ArenaVector<Weights<R>> weights;
   ArenaVector<R> row_weights;  // (M,) lambda of each limit
   std::span<const char> soft;
-  ArenaVector<Tuple<R, D>> z;  // the start, strictly inside, then the answer
-  Space<R, D, 0> y, proof;     // multipliers, and those of the bound
+  Field z;                  // the start, strictly inside, then the answer
+  Space<R, D, 0> y, proof;  // multipliers, and those of the bound
   int iterations = 0, trials = 0;
   R value = 0.0, bound = 0.0;
 
-  PhiRows(Rows<R, D, 0> given, std::span<const char> soft, int limits)
-      : rows(std::move(given)),
+  PhiRows(Rows<R, D, 0> constraints, std::span<const char> soft, int limits)
+      : rows(std::move(constraints)),
         weights(rows.count),
         row_weights(limits),
         soft(soft),
@@ -50,7 +51,7 @@ template <class R, int D> class PhiRows {
            2 * (Arena::bytes_needed<R>(joints) + Arena::bytes_needed<R>(owns));
   }
 
-  // fraction: largest fraction of the way to the boundary that a step goes
+  // fraction: longest step, as a fraction of the way to the boundary
   Code run(const Call& call, double fraction) {
     const double tolerance = call.stop.tolerance;
     const bool known = call.optimum == call.optimum;
@@ -58,7 +59,7 @@ template <class R, int D> class PhiRows {
     iterations = trials = 0;
     evaluate();
     if (!(value < infinity)) return REFUSED;
-    // next to the boundary of the constraints, rounding of the balance may take Phi below its bound
+    // rounding of the balance may take Phi below its bound
     const auto certified = [&] {
       return bound > 0.0 && value - bound <= tolerance * bound &&
              (known || value - bound >= -tolerance * bound);
@@ -70,9 +71,9 @@ template <class R, int D> class PhiRows {
         code = certified() ? CONVERGED : STALLED;
         return Next::stop;
       }
-      if (const R found = known ? bound : lower_bound();
-          known || !(found <= bound) || !(bound > -infinity)) {
-        bound = found;
+      if (const R next = known ? bound : lower_bound();
+          known || !(next <= bound) || !(bound > -infinity)) {
+        bound = next;
         proof = y;
       }
       return Next::step;
@@ -86,7 +87,7 @@ template <class R, int D> class PhiRows {
     return run_descent(*this, call, INT_MAX, find, certified, advance);
   }
 
-  // Balance z to the last digit of R by the least-norm change: the rows of balance are orthonormal.
+  // Balance z to the last digit of R by the least-norm change.
   void balance() {
     for (int pass = 0; pass < 2; ++pass)
       for (int r = 0; r < rows.equal; ++r) {
@@ -106,17 +107,16 @@ template <class R, int D> class PhiRows {
     R decrement, reach;
   };  // squared Newton decrement (nan: no step), 1 / (largest step inside)
   static constexpr int REFINEMENTS = 3, HALVINGS = 60;
-  // fraction of Phi; a step with a smaller balance residual needs no refinement
+  // fraction of Phi: a smaller balance residual of a step needs no refinement
   static constexpr double BALANCED = 1e-13;
   // a step moves z by at least this fraction of its length
   static constexpr double SHORTEST = 1e-10;
   RowSystem<R, D, 0> system_;
   Space<R, D, 0> f_, left_, more_;
   ArenaVector<R> own_slack_, own_trial_, joint_slack_, joint_trial_;
-  ArenaVector<Tuple<R, D>> step_, trial_;
+  Field step_, trial_;
 
-  void slacks(const ArenaVector<Tuple<R, D>>& at, ArenaVector<R>& own,
-              ArenaVector<R>& joint) const {
+  void slacks(const Field& at, ArenaVector<R>& own, ArenaVector<R>& joint) const {
     joint = rows.right;
     for (int i = 0; i < rows.count; ++i) {
       for (int r = 0; r < rows.joint; ++r)
@@ -128,8 +128,7 @@ template <class R, int D> class PhiRows {
   }
 
   // +inf unless strictly inside
-  R phi(const ArenaVector<Tuple<R, D>>& at, const ArenaVector<R>& own,
-        const ArenaVector<R>& joint) const {
+  R phi(const Field& at, const ArenaVector<R>& own, const ArenaVector<R>& joint) const {
     R total = 0.0;
     const auto barrier = [&](const R& weight, const R& slack) {
       total += slack > 0.0 ? weight / slack : R(infinity);
@@ -182,8 +181,7 @@ template <class R, int D> class PhiRows {
       system_.solve(rows, left_, more_);
       y.add(more_);
     }
-    // the least-norm change removes the remaining balance residual: the rows of balance are
-    // orthonormal
+    // the least-norm change removes the remaining balance residual
     R decrement = 0.0, reach = 0.0;
     for (int i = 0; i < rows.count; ++i) {
       step_[i] = system_.shapes[i] * y.z[i];
@@ -225,16 +223,15 @@ template <class R, int D> class PhiRows {
       trial_ = z;
       for (int i = 0; i < rows.count; ++i) add(trial_[i], alpha, step_[i]);
       slacks(trial_, own_trial_, joint_trial_);
-      const R found = phi(trial_, own_trial_, joint_trial_);
+      const R after = phi(trial_, own_trial_, joint_trial_);
       const bool flat = decrement < 1e-9 * value;
-      if (found < value - 1e-4 * alpha * decrement || (flat && found <= value)) {
-        // far from the optimum Phi is nearly straight and steps are long, so the criterion is how
-        // far z moves
+      if (after < value - 1e-4 * alpha * decrement || (flat && after <= value)) {
+        // far from the optimum Phi is nearly straight and steps are long: judge how far z moves
         if ((flat || halving > 0) && !(alpha * moved > SHORTEST * size)) return false;
         std::swap(z, trial_);
         std::swap(own_slack_, own_trial_);
         std::swap(joint_slack_, joint_trial_);
-        value = found;
+        value = after;
         return true;
       }
     }
@@ -242,8 +239,8 @@ template <class R, int D> class PhiRows {
   }
 
   // Dual value at the multipliers: for each contact the minimum of phi(x) + q . x, q = C^T y (see
-  // `dual`), and of lambda / w + q_w w; for each limit that of lambda / slack + y slack: 2
-  // sqrt(lambda y). -inf: no bound.
+  // `dual`), and of lambda / w + q_w w; for each limit that of lambda / slack + y slack. -inf: no
+  // bound.
   R lower_bound() {
     R total = 0.0;
     for (int k = 0; k < int(rows.own.size()); ++k) {

@@ -1,8 +1,7 @@
-// The general program of a grasp: soft, elliptic and frictionless contacts, smallest and largest
-// normal forces, joint torques. It minimises the sum or the maximum of the normal forces, or the
-// excess over limits that no force keeps (`excess.hpp`, for any rows and contacts), or Phi, and
-// finds the force deepest inside all constraints or the twist that proves that none is inside.
-// Forces are scaled by the least-norm one, so tolerances mean the same from 1e-6 to 1e4 N.
+// The general program of a grasp: any contacts, limits of normal forces and joint torques. It
+// minimises the sum or the maximum of the normal forces, the excess over limits that no force
+// keeps, or Phi; or it finds the force deepest inside all constraints. Forces are scaled by the
+// least-norm one, so tolerances mean the same from 1e-6 to 1e4 N.
 #pragma once
 #include <variant>
 #include <grasp/general/program_answers.hpp>
@@ -11,7 +10,7 @@
 namespace grasp {
 namespace detail {
 
-// Not inline: a file that declares `extern template class ProgramOn<D>` compiles nothing of it.
+// Not inline: `extern template class ProgramOn<D>` keeps it out of a file.
 template <int D> Code ProgramOn<D>::least(const double* wrench, Criterion criterion,
                                           const StopRule& options, const Record& record,
                                           double* multipliers, int budget) {
@@ -54,7 +53,7 @@ template <int D> Code ProgramOn<D>::least(const double* wrench, Criterion criter
   write(code, record, multipliers);
   if (moved_) {
     const double residual = grasp::size(size_ * in_.wrench_of(best_) + load);
-    stand_for(record, in_.given(size_ * unit_), wrench, residual, options.tolerance);
+    stand_for(record, in_.out_of_unit(size_ * unit_), wrench, residual, options.tolerance);
   }
   return Code(int(out.code));
 }
@@ -63,14 +62,14 @@ template <int D> Deepest ProgramOn<D>::deepest(const double* wrench, double tole
                                                double* multipliers, bool inside) {
   const Arena::Scope scope;
   std::fill(multipliers, multipliers + limits, 0.0);
-  Deepest found;
-  if (!is_valid_wrench(wrench)) return found;
+  Deepest result;
+  if (!is_valid_wrench(wrench)) return result;
   Depth depth(in_, limits);
-  found = depth.find(wrench, tolerance, inside_, inside);
-  if (found.code == INFEASIBLE)
+  result = depth.find(wrench, tolerance, inside_, inside);
+  if (result.code == INFEASIBLE)
     std::copy(depth.multipliers().begin(), depth.multipliers().end(), multipliers);
   store_z(inside_, z);
-  return found;
+  return result;
 }
 
 template <int D> Code ProgramOn<D>::least_phi(const Call& call, const double* weights,
@@ -115,8 +114,7 @@ template <int D> Code ProgramOn<D>::least_phi(const Call& call, const double* we
   take_start(quick);
   const Code first = descend(quick, call, 1.0, {tolerance, std::min(limit, PATIENCE)});
   if (first != STALLED && (first != LIMIT || limit <= PATIENCE)) return written(quick, first);
-  // if steps along curved surfaces are short: follow the central path, which stays away from the
-  // surfaces
+  // steps along curved surfaces are short: follow the central path, which stays away from them
   double raised = 1.0;
   for (int i = 0; i < count; ++i)
     raised = std::max(raised, weights[2 * i] * z[4 * i] * z[4 * i] / weights[2 * i + 1]);
@@ -136,14 +134,13 @@ template <int D> Code ProgramOn<D>::least_phi(const Call& call, const double* we
 
 }  // namespace detail
 
-// A general program. Its memory, for construction and calls, comes from the arena in use or from
-// the heap.
+// Memory, for construction and calls, comes from the arena in use or from the heap.
 class Program {
  public:
   const int count, limits;
 
-  explicit Program(const ProgramData& given)
-      : count(given.count), limits(given.limits), on_(made(given)) {}
+  explicit Program(const ProgramData& data)
+      : count(data.count), limits(data.limits), on_(make(data)) {}
   // Bytes of an arena; joints: largest number of rows that act on several contacts.
   static std::size_t bytes_needed(int count, int limits, int joints, bool soft) {
     return soft ? detail::ProgramOn<4>::bytes_needed(count, limits, joints)
@@ -152,8 +149,8 @@ class Program {
 
   // Minimise a criterion, into a record, with multipliers (M,) >= 0 of the limits. INFEASIBLE: the
   // record's multipliers are the twist that proves it. REFUSED: numbers that are not finite, or
-  // neither a force nor a proof was found. LIMITS_EXCEEDED: outcome for Criterion::excess, to
-  // EXCESS_WITHIN. budget: iterations of all attempts together.
+  // neither a force nor a proof. LIMITS_EXCEEDED: for Criterion::excess, to EXCESS_WITHIN. budget:
+  // iterations of all attempts together.
   Code least(const double* wrench, Criterion criterion, const StopRule& options,
              const Record& record, double* multipliers, int budget = INT_MAX) {
     return std::visit(
@@ -161,16 +158,14 @@ class Program {
         on_);
   }
   // Find z (N, 4) [N], the force of largest depth m in all cones and rows, where forces and the
-  // wrench's share r sum to one, m <= r. INFEASIBLE: multipliers (M,) are those of the limits in
-  // the proof.
+  // wrench's share r sum to one, m <= r. INFEASIBLE: multipliers (M,) of the proof.
   Deepest deepest(const double* wrench, double tolerance, double* z, double* multipliers,
                   bool inside = false) {
     return std::visit(
         [&](auto& on) { return on.deepest(wrench, tolerance, z, multipliers, inside); }, on_);
   }
-  // Minimise Phi from z (N, 4), balanced and strictly inside, into a record; weights (N, 2) omega
-  // and lambda, row_weights (M,). Uses wrench, stop, optimum and trace of the call. REFUSED: no
-  // such start.
+  // Minimise Phi from z (N, 4), balanced and strictly inside, with weights (N, 2) omega and lambda,
+  // and row_weights (M,). Uses wrench, stop, optimum and trace of the call. REFUSED: no such start.
   Code least_phi(const Call& call, const double* weights, const double* row_weights,
                  const double* z, const Record& record, double* multipliers) {
     return std::visit(
@@ -185,13 +180,12 @@ class Program {
   void balance(const double* wrench, double* z) {
     std::visit([&](auto& on) { on.balance(wrench, z); }, on_);
   }
-  // Smallest slack of z (N, 4) in cones, torsion and rows; above zero: strictly inside, rounding
-  // included.
+  // Smallest slack of z (N, 4) in cones, torsion and rows, less rounding.
   double slack(const double* z) {
     return std::visit([&](auto& on) { return on.least_slack(z); }, on_);
   }
-  // Provide an internal force z (N, 4) for starts. Return false, so that `least` searches for one,
-  // unless it is strictly inside the cones and the rows of torsion.
+  // Provide an internal force z (N, 4) for starts. Return false unless it is strictly inside the
+  // cones and the rows of torsion; `least` then searches for one.
   bool set_internal_force(const double* z) {
     return std::visit([&](auto& on) { return on.set_internal_force(z); }, on_);
   }
@@ -199,8 +193,7 @@ class Program {
   double unit_size(const double* wrench) const {
     return std::visit([&](const auto& on) { return on.unit_size(wrench); }, on_);
   }
-  // True if the rows of balance are independent within rounding, except those that no contact can
-  // change.
+  // True if the rows of balance that contacts can change are independent beyond rounding.
   bool independent() const {
     return std::visit([&](const auto& on) { return on.independent(); }, on_);
   }
@@ -213,10 +206,10 @@ class Program {
   using On = std::variant<detail::ProgramOn<3>, detail::ProgramOn<4>>;
   On on_;
 
-  static On made(const ProgramData& given) {
-    for (int i = 0; i < given.count; ++i)
-      if (given.divisor[4 * i + 3] < infinity) return On(std::in_place_index<1>, given);
-    return On(std::in_place_index<0>, given);
+  static On make(const ProgramData& data) {
+    for (int i = 0; i < data.count; ++i)
+      if (data.divisor[4 * i + 3] < infinity) return On(std::in_place_index<1>, data);
+    return On(std::in_place_index<0>, data);
   }
 };
 

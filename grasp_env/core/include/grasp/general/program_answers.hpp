@@ -1,5 +1,4 @@
-// Answers of the general program: forces that are balanced and inside to the last digit, their
-// bounds, and the record.
+// Answers of the general program: forces balanced and inside to the last digit, bounds, the record.
 #pragma once
 #include <grasp/general/program_on.hpp>
 
@@ -16,8 +15,7 @@ inline double ProgramOn<D>::consider(const Interior<R, T>& engine) {
     inside_ = z_;
     has_inside_ = true;
   }
-  if (least < 0.0 &&
-      has_inside_) {  // mix with just enough of a force inside to restore the last digits
+  if (least < 0.0 && has_inside_) {  // mix with just enough of a force inside
     in_.write_slacks(inside_, kept(), slacks_inside_, right);
     double part = 0.0;
     for (std::size_t k = 0; k < slacks_.size(); ++k)
@@ -113,9 +111,8 @@ inline Code ProgramOn<D>::write_phi(PhiRows<R, D>& engine, Code code, const Call
                                     const Record& record, double* multipliers) {
   for (int i = 0; i < count; ++i) best_[i] = narrow(engine.z[i]);
   best_residual_ = in_.rebalance(best_, unit_);
-  for (double part = 1e-15;;
-       // moves what rounding took outside back towards the start
-       part = std::min(1.0, 4.0 * part)) {
+  // move what rounding took outside back towards the start
+  for (double part = 1e-15;; part = std::min(1.0, 4.0 * part)) {
     for (int i = 0; i < count; ++i) engine.z[i] = wide<R>(best_[i]);
     engine.evaluate();
     in_.write_slacks(best_, limits, slacks_, [&](int k) { return in_.bound[k]; });

@@ -1,6 +1,5 @@
 // The general program on contacts of D variables: the state that its objectives share, and the
-// attempts at an optimum. program_starts.hpp and program_answers.hpp hold its longer functions,
-// program.hpp its front.
+// attempts at an optimum.
 #pragma once
 #include <climits>
 #include <optional>
@@ -15,11 +14,11 @@ template <int D> class ProgramOn {
   using Field = typename Constraints<D>::Field;
   template <class R, int T> using Interior = InteriorPoint<R, D, T>;
 
-  explicit ProgramOn(const ProgramData& given)
-      : count(given.count),
-        limits(given.limits),
-        in_(given),
-        may_exceed_(given.elastic),
+  explicit ProgramOn(const ProgramData& data)
+      : count(data.count),
+        limits(data.limits),
+        in_(data),
+        may_exceed_(data.elastic),
         internal_force_(count),
         inside_(count),
         z_(count),
@@ -28,8 +27,7 @@ template <int D> class ProgramOn {
         slacks_inside_(in_.slacks()),
         multipliers_(limits),
         best_multipliers_(limits) {}
-  // Memory of a program and of its solves, whose engines live for one call. joints: largest number
-  // of rows that act on several contacts.
+  // Memory of a program and of its solves. joints: largest number of rows on several contacts.
   static std::size_t bytes_needed(int count, int limits, int joints) {
     const auto most = [&](int joint) {
       const int owns = limits - joint + count + 1;
@@ -47,7 +45,6 @@ template <int D> class ProgramOn {
            4 * Arena::bytes_needed<double>(limits) + std::max(most(0), most(joints));
   }
 
-  // See `Program`.
   Code least(const double* wrench, Criterion criterion, const StopRule& options,
              const Record& record, double* multipliers, int budget);
 
@@ -73,7 +70,7 @@ template <int D> class ProgramOn {
     in_.rebalance(internal_force_, Vec6{});
     in_.write_slacks(internal_force_, in_.torsions, slacks_, [](int) { return 0.0; });
     double most = 0.0;
-    for (const auto& each : internal_force_) most = std::max(most, each[0]);
+    for (const auto& zi : internal_force_) most = std::max(most, zi[0]);
     if (least_of(slacks_) > DEEP * most) has_internal_force_ = true;
     return has_internal_force_.has_value();
   }
@@ -89,10 +86,9 @@ template <int D> class ProgramOn {
  private:
   // fraction of the forces: effect of their rounding on balance
   static constexpr double ROUNDED = 1e-15;
-  // Smallest margin of an internal force; less would be useful only with millions of newtons.
+  // Smallest margin of an internal force; less would take millions of newtons.
   static constexpr double DEEP = 1e-6;
-  // Bound of the normal forces when minimising an excess, relative to the largest normal force of
-  // the start.
+  // Bound of the normal forces for an excess, relative to the largest one of the start.
   static constexpr double MOST = 1e4;
   static constexpr double BEGIN = 1.5;  // of a start's excess: initial increase of the limits
   // iterations before another start or more digits are tried; a dozen is usual
@@ -107,9 +103,9 @@ template <int D> class ProgramOn {
   Field internal_force_, inside_, z_, best_;
   std::optional<bool> has_internal_force_;  // empty: not searched yet
   bool has_inside_ = false;
-  bool moved_ = false;  // true if `unit_` is not quite the wrench of this call: see `Deepest`
+  bool moved_ = false;  // `unit_` is not quite the wrench of this call: see `Deepest`
   ArenaVector<double> slacks_, slacks_inside_, multipliers_, best_multipliers_;
-  Vec6 unit_{}, turned_{}, best_nu_{};  // wrench of this call, scaled to size one; L^-1 of it
+  Vec6 unit_{}, turned_{}, best_nu_{};  // wrench of this call, size one; L^-1 of it
   Criterion criterion_ = Criterion::sum;
   int budget_ = INT_MAX;    // iterations of all attempts together
   double tolerance_ = 0.0;  // required gap
@@ -125,7 +121,6 @@ template <int D> class ProgramOn {
     for (int i = 0; i < count; ++i)
       for (int a = 0; a < 4; ++a) z[4 * i + a] = a < D ? from[i][a] : 1.0;
   }
-  // True if the excess is minimised.
   bool elastic() const { return criterion_ == Criterion::excess; }
   // The normal force of a unit of u; weighted, unless excesses are minimised.
   double price(int i) const { return elastic() ? in_.price[i] : in_.cost[i]; }
@@ -133,7 +128,7 @@ template <int D> class ProgramOn {
 
   template <int T> Code solve(const double* wrench, const StopRule& options, Summary& out) {
     int spent = 0;
-    // start from a strictly feasible z if one is known; first in double, then in higher precision
+    // from a strictly feasible z if one is known; first in double, then in higher precision
     const auto attempt = [&](auto& engine, bool known) {
       set_right(engine);
       if (known)
@@ -154,14 +149,14 @@ template <int D> class ProgramOn {
     if (code != CONVERGED && !has_inside_) {
       const Arena::Scope scope;
       Depth depth(in_, kept());
-      const Deepest found = depth.find(wrench, 1e-7, z_);
-      if (found.code != CONVERGED) {
+      const Deepest result = depth.find(wrench, 1e-7, z_);
+      if (result.code != CONVERGED) {
         multipliers_ = depth.multipliers();
-        out.multipliers = found.twist;
+        out.multipliers = result.twist;
         out.iterations = spent;
-        return found.code == INFEASIBLE ? INFEASIBLE : REFUSED;
+        return result.code == INFEASIBLE ? INFEASIBLE : REFUSED;
       }
-      take_inside(found);
+      take_inside(result);
       if (consider(quick) <= options.tolerance)
         code = CONVERGED;
       else if (options.limit > 0)
@@ -202,12 +197,12 @@ template <int D> class ProgramOn {
     moved_ = false;
   }
   // Take over the force in z_, which is strictly inside, and the wrench that it balances.
-  void take_inside(const Deepest& found) {
+  void take_inside(const Deepest& result) {
     for (int i = 0; i < count; ++i)
       for (int a = 0; a < D; ++a) inside_[i][a] = z_[i][a] / size_;
     has_inside_ = true;
-    if (!found.moved) return;
-    unit_ = (1.0 / size_) * in_.in_frame(found.wrench.data());
+    if (!result.moved) return;
+    unit_ = (1.0 / size_) * in_.in_frame(result.wrench.data());
     turned_ = in_.solve_lower(unit_);
     moved_ = true;
     best_value_ = infinity;
@@ -215,16 +210,15 @@ template <int D> class ProgramOn {
     best_nu_ = Vec6{};
     std::fill(best_multipliers_.begin(), best_multipliers_.end(), 0.0);
   }
-  // If the wrench is next to the boundary of the constraints, replace it by one just inside, see
-  // `Deepest`.
+  // Replace a wrench next to the boundary of the constraints by one just inside, see `Deepest`.
   bool move_off_boundary(const double* wrench) {
     const Arena::Scope scope;
-    const Deepest found = Depth(in_, kept()).find(wrench, 1e-7, z_, true);
-    if (found.code != CONVERGED || !found.moved) return false;
-    take_inside(found);
+    const Deepest result = Depth(in_, kept()).find(wrench, 1e-7, z_, true);
+    if (result.code != CONVERGED || !result.moved) return false;
+    take_inside(result);
     return true;
   }
-  // True if the last iterate strictly inside in doubles is kept, to be mixed with the next ones.
+  // True if the last iterate strictly inside in doubles is kept, to be mixed with later ones.
   template <class R, int T> static constexpr bool keeps_interior(const Interior<R, T>&) {
     return std::is_same_v<R, DoubleDouble>;
   }
@@ -244,8 +238,8 @@ template <int D> class ProgramOn {
             std::max(most, (size_ * in_.product(in_.limit[k], z) - in_.bound[k]) / in_.shares[k]);
     return most;
   }
-  // Set t in units of an excess above that of the start z, so that it begins at one; normal forces
-  // are bounded by a multiple of those of z.
+  // Set t in units of an excess above that of the start z, so that it begins at one; bound normal
+  // forces by a multiple of those of z.
   template <class R> void raise(Interior<R, 1>& engine, const Field& z);
   template <class R, int T> void inside_from_start(const Interior<R, T>& engine) {
     for (int i = 0; i < count; ++i) inside_[i] = narrow(engine.at.z[i]);
@@ -257,32 +251,30 @@ template <int D> class ProgramOn {
   }
   // Write a start. Return true if it is balanced and strictly inside all constraints.
   template <class R, int T> bool begin(Interior<R, T>& engine);
-  // Set slacks and a dual strictly inside for the z of a start: s = c + the limits' part, with
-  // balance's multipliers zero. Slacks below `least` times the largest force are lifted to it.
-  // Return false if any was.
+  // Set slacks and a dual strictly inside for the z of a start: s = c + the limits' part. Slacks
+  // below `least` times the largest force are lifted to it. Return false if any was.
   template <class R, int T> bool place(Interior<R, T>& engine, double least);
   template <int T> double engine_price(int i) const { return T == 1 ? price(i) / count : price(i); }
 
-  // Balance the iterate, bring it within the limits and bound its objective; keep the best force
-  // and the best bound. Return the gap.
+  // Balance the iterate, bring it within the limits and bound its objective; keep the best. Return
+  // the gap.
   template <class R, int T> double consider(const Interior<R, T>& engine);
   double gap() const {
     if (!(best_value_ < infinity)) return infinity;
-    const double found = elastic() ? (best_value_ - best_bound_) /
-                                         std::max(best_bound_, EXCESS_FLOOR / EXCESS_WITHIN)
-                         : best_bound_ > 0.0  ? (best_value_ - best_bound_) / best_bound_
-                         : best_value_ == 0.0 ? 0.0
-                                              : infinity;
-    return found >= -tolerance_ ? found
-                                : infinity;  // rounding of the balance may take it below its bound
+    const double gap = elastic()           ? (best_value_ - best_bound_) /
+                                                 std::max(best_bound_, EXCESS_FLOOR / EXCESS_WITHIN)
+                       : best_bound_ > 0.0 ? (best_value_ - best_bound_) / best_bound_
+                       : best_value_ == 0.0 ? 0.0
+                                            : infinity;
+    // rounding of the balance may take it below its bound
+    return gap >= -tolerance_ ? gap : infinity;
   }
 
   // Dual value at the multipliers, moved towards interior ones until feasible: s = c + C^T y in the
-  // dual cones, y >= 0 for the limits. For an excess: at multipliers that price t at one; what they
-  // lack of the dual cones is paid by forces up to most_.
+  // dual cones, y >= 0 for the limits. For an excess, at multipliers that price t at one; forces up
+  // to most_ pay for what they lack of the dual cones.
   template <class R, int T> void certify(const Interior<R, T>& engine);
-  // Write Phi's optimum. CONVERGED requires that the returned force is balanced, inside, and has a
-  // gap within the tolerance.
+  // Write Phi's optimum. CONVERGED: balanced, inside, and the gap is within the tolerance.
   template <class R> Code write_phi(PhiRows<R, D>& engine, Code code, const Call& call,
                                     const Record& record, double* multipliers);
   void write(Code code, const Record& record, double* multipliers);

@@ -11,8 +11,8 @@ inline void ProgramOn<D>::raise(Interior<R, 1>& engine, const Field& z) {
   best_bound_ = 0.0;
   for (int i = 0; i < count; ++i) most_ = std::max(most_, price(i) * z[i][0]);
   most_ *= MOST;
-  const auto raise = [&](Tuple<R, 1>& shared, int name) {
-    if (name >= 0) shared[0] = -excess_unit_ * in_.shares[name] / size_;
+  const auto raise = [&](Tuple<R, 1>& shared, int label) {
+    if (label >= 0) shared[0] = -excess_unit_ * in_.shares[label] / size_;
   };
   for (int r = 0; r < engine.rows.joint; ++r) raise(engine.rows.coupling[r], engine.rows.label[r]);
   for (auto& row : engine.rows.own) {
@@ -25,11 +25,11 @@ template <int D> template <class R, int T> inline bool ProgramOn<D>::begin(Inter
   if (!has_internal_force_) {
     const Arena::Scope scope;
     const double nothing[6] = {};
-    const Deepest found = Depth(in_, in_.torsions).find(nothing, 1e-2, internal_force_);
-    has_internal_force_ = found.code == CONVERGED && found.margin > DEEP;
+    const Deepest result = Depth(in_, in_.torsions).find(nothing, 1e-2, internal_force_);
+    has_internal_force_ = result.code == CONVERGED && result.margin > DEEP;
   }
   if (*has_internal_force_) {
-    for (auto& each : z_) each = {};
+    for (auto& z : z_) z = {};
     in_.subtract(z_, turned_);
     double squeeze = 1e-6;
     in_.write_slacks(z_, in_.torsions, slacks_, [](int) { return 0.0; });
@@ -41,7 +41,7 @@ template <int D> template <class R, int T> inline bool ProgramOn<D>::begin(Inter
       if (D == 4 && !in_.soft[i]) z_[i][D - 1] = 1.0;
     }
   } else {
-    for (auto& each : z_) each = in_.inwards();
+    for (auto& z : z_) z = in_.inwards();
   }
   for (int i = 0; i < count; ++i) engine.at.z[i] = wide<R>(z_[i]);
   const bool slack = place(engine, *has_internal_force_ ? 1e-3 : 1.0);

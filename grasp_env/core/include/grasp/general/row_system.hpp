@@ -1,7 +1,6 @@
 // The linear system of the general program and of Newton on Phi with further limits. A row that
-// acts on one contact (its torsion bound, normal force, or the torque of a joint of its own finger)
-// is a rank-one term of that contact's block. The factored system holds balance, the rows that
-// couple contacts, and the T shared variables.
+// acts on one contact is a rank-one term of that contact's block. The factored system holds
+// balance, the rows that couple contacts, and the T shared variables.
 #pragma once
 #include <grasp/general/rows.hpp>
 
@@ -206,18 +205,18 @@ template <class R, int D, int T> class RowSystem {
   static constexpr int K = D + T;
   // fraction of a pivot that rounding may cause
   static constexpr double LOST = std::is_same_v<R, double> ? 1e-15 : 1e-30;
-  // keeps the doubtful equation's pivot from zero; refinement removes its effect
+  // keeps the pivot of the doubtful equation from zero; refinement removes its effect
   static constexpr double DOUBT = 1e-9;
   // A row as an update of its block's factor, column by column, and its effect on right-hand sides
-  // and solutions, without a difference that cancels however large the row is.
+  // and solutions. No difference cancels, however large the row is.
   struct Own {
-    // entries of the row, its contribution to the block's row, and old over new pivot
+    // entries of the row, its part of the block's row, old over new pivot
     Tuple<R, D> p, beta, ratio;
     Tuple<R, T> shared;  // remainder for the shared variables, and its weight
     R weight;
 
-    // b: D^-1 L^-1 of the block's right-hand side, without and then with this row's `right`. Return
-    // the remainder of `right`.
+    // b: D^-1 L^-1 of the block's right-hand side, without and then with `right` of this row.
+    // Return the remainder of `right`.
     R forward(Tuple<R, D>& b, R right) const {
 #pragma GCC unroll 8
       for (int j = 0; j < D; ++j) {
@@ -227,7 +226,7 @@ template <class R, int D, int T> class RowSystem {
       return right;
     }
     // row . e + shared . t - right, from its remainder. rest: residual of the block's rows with
-    // this row, and then without it.
+    // this row, then without.
     R backward(Tuple<R, D>& rest, R left) const {
 #pragma GCC unroll 8
       for (int j = D - 1; j >= 0; --j) {
@@ -288,14 +287,13 @@ template <class R, int D, int T> class RowSystem {
   ArenaVector<Block> blocks_;
   // leading joint rows (N, leads) in the blocks' coordinates, and L^-1 of them
   ArenaVector<Tuple<R, D>> turned_, reduced_;
-  ArenaVector<R> schur_;  // Schur complement of the leading joint rows, factored: L below, 1 / D on
-                          // the diagonal
-  ArenaVector<R> y_;      // multipliers of the leading joint rows
+  // factored Schur complement of the leading joint rows: L below, 1 / D on the diagonal
+  ArenaVector<R> schur_;
+  ArenaVector<R> y_;  // multipliers of the leading joint rows
   ArenaVector<Tuple<R, T>> coupled_, solved_;
   std::array<Tuple<R, T>, T> corner_;
 
-  // Right-hand side of two rows that mirror each other, as one row with the weight of both: 1 / up
-  // + 1 / down.
+  // Right-hand side of two rows that mirror each other, as one row of weight 1 / up + 1 / down.
   static R both(const R& up, const R& down, const R& first, const R& second) {
     const R per = 1.0 / (up + down);
     return down * per * first - up * per * second;  // slacks may be large, so no product of two
@@ -304,8 +302,7 @@ template <class R, int D, int T> class RowSystem {
     return paired ? both(own_diagonal[k], own_diagonal[k + 1], f.own[k], f.own[k + 1]) : f.own[k];
   }
   // Their multipliers from the remainder of that row. The smaller one comes from its own row, the
-  // other from their difference: for an active limit that is the remainder times a large weight,
-  // and no difference that cancels.
+  // other from their difference: for an active limit nothing cancels.
   static void part(const R& up, const R& down, const R& first, const R& second, const R& left,
                    R* y) {
     const R along = left + both(up, down, first, second);

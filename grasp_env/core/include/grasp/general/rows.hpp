@@ -1,5 +1,5 @@
-// The rows of the general program and of Newton on Phi with further limits: equations and limits
-// that act on one contact or several.
+// Rows of the general program and of Newton on Phi with further limits: equations and limits on one
+// contact or several.
 #pragma once
 #include <algorithm>
 #include <span>
@@ -8,7 +8,7 @@
 
 namespace grasp {
 
-// R is a number: double, or `DoubleDouble` if that has too few digits.
+// R: double, or `DoubleDouble` if that has too few digits.
 template <class R, int K> using Tuple = std::array<R, K>;
 template <class R, std::size_t K>
 inline R inner(const std::array<R, K>& a, const std::array<R, K>& b) {
@@ -20,7 +20,6 @@ template <class R, std::size_t K>
 inline void add(std::array<R, K>& to, const R& k, const std::array<R, K>& a) {
   for (std::size_t j = 0; j < K; ++j) to[j] += k * a[j];
 }
-// Conversion between number types.
 template <class R, std::size_t K> inline std::array<R, K> wide(const std::array<double, K>& a) {
   std::array<R, K> out;
   for (std::size_t j = 0; j < K; ++j) out[j] = a[j];
@@ -36,16 +35,15 @@ template <class R> inline void keep_largest(R& most, const R& value) {
   if (!(value <= most)) most = value;
 }
 
-// Call f(joint) with the number of joint rows: in doubles a constant for the six of balance alone,
-// so that loops over them unroll.
+// Call f(joint) with the number of joint rows: a constant for the six of balance in doubles, so
+// that loops unroll.
 template <class R, class F> [[gnu::always_inline]] inline auto sized(int joint, F&& f) {
   if constexpr (std::is_same_v<R, double>)
     if (joint == 6) return f(std::integral_constant<int, 6>());
   return f(joint);
 }
 
-// A contact's variables (u, o, t) or, for D = 4, (u, o, t, w) with w = u - |torsion| in units of
-// its limit.
+// The part (u, o, t) of (u, o, t, w), with w = u - |torsion| in units of its limit.
 template <class R, std::size_t D> inline Vec3<R> cone(const std::array<R, D>& z) {
   return {z[0], z[1], z[2]};
 }
@@ -78,7 +76,7 @@ template <class R, int D, int T> struct Rows {
     Tuple<R, T> shared;
     R right;
     int label;
-    bool mirrored = false;  // the negative of the row before it: the other limit of a torque
+    bool mirrored = false;  // the negative of the row before it: a torque's other limit
   };
   int count, joint, equal;
   int doubtful = -1;  // an equation that may be independent of the others only through t
@@ -89,10 +87,9 @@ template <class R, int D, int T> struct Rows {
   ArenaVector<int> first;             // (N + 2,) own[first[i]] is the first of contact i
   ArenaVector<int> label;             // (joint,) label of a joint row; -1: an equation
   ArenaVector<int> lead;              // the joint rows that are not `mirrored`
-  ArenaVector<char> mirrored;  // (joint + 1,) true if it is the negative of the row before it: the
-                               // other limit of a torque
+  ArenaVector<char> mirrored;         // (joint + 1,) as for own rows
 
-  // joints, owns: number of rows that will be added
+  // joints, owns: numbers of rows to be added
   Rows(int contacts, int equations, int joints, int owns)
       : count(contacts),
         joint(joints),
@@ -139,9 +136,8 @@ template <class R, int D, int T> struct Rows {
     for (int r = 0; r < joint; ++r)
       if (!mirrored[r]) lead.push_back(r);
   }
-  // True if row k of contact i and the row after it mirror each other.
+  // True if row k of contact i, or joint row r, and the row after it mirror each other.
   bool paired(int i, int k) const { return T == 0 && k + 1 < first[i + 1] && own[k + 1].mirrored; }
-  // The same for joint row r.
   bool paired(int r) const { return T == 0 && mirrored[r + 1]; }
   // Call f(k, paired) for the rows of contact i, once for two that mirror each other.
   template <class F> void each_own(int i, F&& f) const {
@@ -151,7 +147,7 @@ template <class R, int D, int T> struct Rows {
       k += both;
     }
   }
-  // Force that the multipliers of row k, or of it and its mirror image, exert along the row.
+  // Force that the multipliers of row k, and of its mirror image, exert along the row.
   static R pulled(const ArenaVector<R>& multipliers, int k, bool paired) {
     return paired ? multipliers[k] - multipliers[k + 1] : multipliers[k];
   }

@@ -1,22 +1,21 @@
-// Limits of a hand on its contact forces: smallest and largest normal forces, joint torques |J^T f
-// + tau_0| <= tau_max. They appear as rows a . f <= b, and as rows of length one on one contact's
-// force for `LimitTerms`.
+// Limits of a hand on its contact forces: normal forces, joint torques |J^T f + tau_0| <= tau_max,
+// as rows a . f <= b, and as rows of length one on one contact's force for `LimitTerms`.
 #pragma once
 #include <span>
 #include <grasp/limits/terms.hpp>
 
 namespace grasp {
 
-// Empty members mean no limit, as does inf. The caller owns the numbers. The Jacobian is in the
-// frame of the positions; `rows` and `LimitTable` take one in contact frames.
+// Empty members and inf mean no limit. The caller owns the numbers. The Jacobian is in the frame of
+// the positions; `rows` and `LimitTable` take one in contact frames.
 struct ForceLimits {
   std::span<const double> min_normal{};  // (N,) >= 0 [N]
   std::span<const double> max_normal{};  // (N,) [N]
-  std::span<const double> jacobian{};  // (N, 3, J) joint speeds -> velocities of the contact points
-                                       // [m]; (N, 6, J): and of turning [1]
+  // (N, 3, J) joint speeds -> velocities of the contact points [m]; (N, 6, J): and of turning [1]
+  std::span<const double> jacobian{};
   std::span<const double> torque_limit{};  // (J,) > 0 [N m]
-  std::span<const double> torque_bias{};  // (J,) tau_0: torques in addition to the grasp's, such as
-                                          // the hand's weight [N m]
+  std::span<const double>
+      torque_bias{};  // (J,) tau_0: further torques, as of the hand's weight [N m]
 
   // Number of finite limits, counted as rows.
   int many() const {
@@ -26,15 +25,15 @@ struct ForceLimits {
     return count(min_normal, limits_normal) + count(max_normal, limits_normal) +
            2 * count(torque_limit, limits_torque);
   }
-  // Call f(row, b, limit) for smallest normal forces above 0, largest normal forces, then the upper
-  // and the lower torque of each joint. row: (N, each) work space; each = 3, or 4 if the Jacobian
-  // has a row for the torsion.
-  template <class F> void rows(int count, int each, std::span<double> row, F&& f) const {
+  // Call f(row, b, limit) for smallest normal forces above 0, largest ones, then the upper and the
+  // lower torque of each joint. row: (N, width) work space; width = 3, or 4 if the Jacobian has a
+  // row for the torsion.
+  template <class F> void rows(int count, int width, std::span<double> row, F&& f) const {
     const auto normal = [&](std::span<const double> limits, double sign) {
       for (int i = 0; i < int(limits.size()); ++i) {
         if (!limits_normal(limits[i])) continue;
         std::fill(row.begin(), row.end(), 0.0);
-        row[each * i] = sign;
+        row[width * i] = sign;
         f(row, sign * limits[i], limits[i]);
       }
     };
@@ -44,7 +43,7 @@ struct ForceLimits {
     for (int j = 0; j < joints; ++j) {
       if (!limits_torque(torque_limit[j])) continue;
       for (double sign : {1.0, -1.0}) {
-        for (int k = 0; k < each * count; ++k) row[k] = sign * jacobian[joints * k + j];
+        for (int k = 0; k < width * count; ++k) row[k] = sign * jacobian[joints * k + j];
         f(row, torque_limit[j] - sign * (torque_bias.empty() ? 0.0 : torque_bias[j]),
           torque_limit[j]);
       }
@@ -64,36 +63,35 @@ class LimitTable {
   std::vector<double> normals, bounds, shares, weights, sizes;
   std::vector<int> owners;
 
-  // Fill the table. Return false if a row acts on several contacts, or if numbers are not finite or
-  // too large for the solvers. The Jacobian is (N, each, J) in contact frames.
-  bool fill(const Contacts& contacts, const ForceLimits& limits, int each = 3) {
+  // Fill the table; the Jacobian is (N, width, J). Return false if a row acts on several contacts,
+  // or if numbers are not finite or too large.
+  bool fill(const Contacts& contacts, const ForceLimits& limits, int width = 3) {
     const int count = contacts.count;
     clear();
     reserve(limits.many());  // includes rows that are not reached now
-    row_.resize(each * count);
+    row_.resize(width * count);
     bool good = true;
-    limits.rows(count, each, row_, [&](std::span<const double> row, double bound, double limit) {
+    limits.rows(count, width, row_, [&](std::span<const double> row, double bound, double limit) {
       good = good && add(count, row.data(), contacts.divisor.data(), contacts.lambda.data(), bound,
-                         limit, each);
+                         limit, width);
     });
     return good;
   }
-  // Add a row (N, each) on forces that acts on at most one contact. limit: growth of b if the limit
-  // grows by all of itself.
+  // Add a row (N, width) on at most one contact. limit: growth of b if the limit doubles.
   bool add(int count, const double* row, const double* divisor, const double* lambda, double bound,
-           double limit, int each = 3) {
+           double limit, int width = 3) {
     int owner = -1;
     double mean = 0.0;
     for (int i = 0; i < count; ++i) {
       mean += lambda[i] / count;
-      if (row[each * i] == 0.0 && row[each * i + 1] == 0.0 && row[each * i + 2] == 0.0) continue;
-      const Point a = over(row + each * i, divisor + 3 * i);
+      if (row[width * i] == 0.0 && row[width * i + 1] == 0.0 && row[width * i + 2] == 0.0) continue;
+      const Point a = over(row + width * i, divisor + 3 * i);
       if (a.u == 0.0 && a.o == 0.0 && a.t == 0.0) continue;
       if (owner >= 0) return false;
       owner = i;
     }
     const int at = std::max(owner, 0);
-    Point a = over(row + each * at, divisor + 3 * at);
+    Point a = over(row + width * at, divisor + 3 * at);
     double size = length(a);
     if (size == 0.0) size = 1.0;
     a = {a.u / size, a.o / size, a.t / size};
@@ -130,7 +128,7 @@ class LimitTable {
   void reserve(int rows) {
     normals.reserve(3 * rows);
     owners.reserve(rows);
-    for (auto* each : {&bounds, &shares, &weights, &sizes}) each->reserve(rows);
+    for (auto* column : {&bounds, &shares, &weights, &sizes}) column->reserve(rows);
   }
 
   static Point over(const double* row, const double* divisor) {

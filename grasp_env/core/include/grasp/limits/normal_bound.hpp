@@ -15,7 +15,7 @@ struct LimitRows {
   int count = 0;
   const double* normal = nullptr;  // (M, 3) of length one; zero: independent of the forces
   const double* bound = nullptr;   // (M,) b [N]
-  const double* share = nullptr;   // (M,) growth of b if the limit grows by all of itself [N]
+  const double* share = nullptr;   // (M,) growth of b if the limit doubles [N]
   const double* weight = nullptr;  // (M,) lambda > 0
   const int* contact = nullptr;    // (M,)
 };
@@ -31,8 +31,7 @@ struct BoundingRows {
 };
 
 // Largest u within the rows of a contact and its cone, and its growth with the limits: u <= sum z b
-// for any z >= 0 with sum z a
-// - e_u in the dual cone. Tries one, two and three pairs.
+// for any z >= 0 with sum z a - e_u in the dual cone. Tries one, two and three pairs.
 class NormalBound {
  public:
   double most = UNBOUNDED, more = 0.0;
@@ -62,7 +61,7 @@ class NormalBound {
   void consider(std::initializer_list<RowPair> pairs, std::initializer_list<double> z) {
     double bound = 0.0, share = 0.0;
     auto part = z.begin();
-    BoundingRows made;
+    BoundingRows rows;
     int used = 0;
     for (const RowPair& p : pairs) {
       const int m = *part > 0.0 ? p.high : p.low;
@@ -70,15 +69,15 @@ class NormalBound {
       if (m >= 0) {
         bound += std::abs(*part) * std::max(rows_.bound[m], 0.0);
         share += std::abs(*part) * rows_.share[m];
-        made.row[used] = m;
-        made.part[used++] = std::abs(*part);
+        rows.row[used] = m;
+        rows.part[used++] = std::abs(*part);
       }
       ++part;
     }
     if (bound < most) {
       most = bound;
       more = share;
-      by = made;
+      by = rows;
     }
   }
   void try_one(const RowPair& p) {

@@ -1,26 +1,22 @@
-// Limits that are linear in one contact's force, a . x <= b, as terms of Phi: joint torques of a
-// finger, smallest and largest normal forces. Phi gains lambda / slack for each row of length one.
-// A row is a rank-one change of its contact's 3 x 3 inverse Hessian.
+// Limits that are linear in one contact's force, a . x <= b, as terms of Phi, which gains lambda /
+// slack for each row of length one: a rank-one change of the contact's 3 x 3 inverse Hessian.
 //
 // Below a small slack, the edge, the barrier is replaced by its quadratic extension (C2), so any
 // force inside the cones is a valid start. The edge is lowered until every slack is above it: then
-// the optimum is that of lambda / slack, and so is its bound. Alternatively, Newton's multipliers
-// prove that no force keeps the limits (Farkas).
-//
-// The file is long because the terms, the edge and the proof use the same rows.
+// optimum and bound are those of lambda / slack. Or Newton's multipliers prove that no force keeps
+// the limits (Farkas).
 #pragma once
 #include <grasp/phi/cones.hpp>
 #include <grasp/limits/normal_bound.hpp>
 
 namespace grasp {
 
-// a . x <= bound + t share, or -a . x for the other side of a pair. Weight and share of a missing
-// side are zero.
+// a . x <= bound + t share, or -a . x for the other side. A missing side has no weight and share.
 template <class V> struct Side {
   V bound, share, weight;
-  // at x; price >= 0: its multiplier, bend: growth of the price as the slack shrinks
-  V slack, price, bend;
-  V dslack, dprice;  // change by a step
+  // at x; bend: growth of the multiplier, >= 0, as the slack shrinks
+  V slack, multiplier, bend;
+  V dslack, dmultiplier;  // change by a step
 
   void at(const V& along, double t) { slack = bound + all<V>(t) * share - along; }
 };
@@ -30,8 +26,7 @@ template <class V> struct Pair {
   Vec3<V> a;
   Side<V> high, low;
 
-  V price() const { return high.price - low.price; }
-  // call f(side, sign) for both
+  V multiplier() const { return high.multiplier - low.multiplier; }
   template <class F> void sides(F&& f) {
     f(high, 1.0);
     f(low, -1.0);
@@ -41,7 +36,7 @@ template <class V> struct Pair {
     f(low, -1.0);
   }
   // inverse = (inverse^-1 + (bends) a a^T)^-1
-  void bend(Sym3<V>& inverse) const {
+  void update_inverse(Sym3<V>& inverse) const {
     const V c = high.bend + low.bend;
     const Vec3<V> h = inverse * a;
     const Vec3<V> f = (c / (1.0 + c * dot(a, h))) * h;
@@ -62,33 +57,32 @@ template <class V, int B> class LimitTerms {
   using Field = typename Cones<V, B>::Field;
   int sides = 0;  // number of rows
 
-  // Make `pack` free of allocations for up to this many rows, on any contacts.
+  // Make `pack` free of allocations for up to this many rows.
   void reserve(const Cones<V, B>& cones, int rows) {
     const int blocks = int(cones.blocks.size());
     pairs_of_.resize(W * blocks);
-    for (auto& mine : pairs_of_) mine.reserve(rows);
+    for (auto& own_pairs : pairs_of_) own_pairs.reserve(rows);
     pairs_.reserve(size_t(rows) * blocks);
     extra_multipliers_.reserve(W * blocks * size_t(rows));
     resize_blocks(blocks);
   }
-  // Load the rows. Does not allocate if the contacts had as many rows before.
   void pack(const Cones<V, B>& cones, const LimitRows& rows) {
     const int blocks = int(cones.blocks.size());
     pairs_of_.resize(W * blocks);
-    for (auto& mine : pairs_of_) mine.clear();
+    for (auto& own_pairs : pairs_of_) own_pairs.clear();
     sides = rows.count;
     pairs_per_contact_ = 1;
     for (int m = 0; m < rows.count; ++m) {
-      auto& mine = pairs_of_[rows.contact[m]];
-      auto at = mine.begin();
-      while (at != mine.end() &&
+      auto& own_pairs = pairs_of_[rows.contact[m]];
+      auto at = own_pairs.begin();
+      while (at != own_pairs.end() &&
              !(at->low < 0 && opposite(rows.normal + 3 * at->high, rows.normal + 3 * m)))
         ++at;
-      if (at != mine.end())
+      if (at != own_pairs.end())
         at->low = m;
       else
-        mine.push_back({m, -1});
-      pairs_per_contact_ = std::max(pairs_per_contact_, int(mine.size()));
+        own_pairs.push_back({m, -1});
+      pairs_per_contact_ = std::max(pairs_per_contact_, int(own_pairs.size()));
     }
     pairs_.assign(size_t(pairs_per_contact_) * blocks, no_pair());
     extra_multipliers_.assign(rows.count, 0.0);
@@ -97,19 +91,19 @@ template <class V, int B> class LimitTerms {
       const auto& w = cones.blocks[b].weights;
       scale_[b] = sqrt(w.lambda / w.omega);
       for (int n = 0; n < W; ++n) {
-        const auto& mine = pairs_of_[W * b + n];
-        for (int k = 0; k < int(mine.size()); ++k) {
+        const auto& own_pairs = pairs_of_[W * b + n];
+        for (int k = 0; k < int(own_pairs.size()); ++k) {
           auto& pair = pairs_[pairs_per_contact_ * b + k];
-          for (int a = 0; a < 3; ++a) set(pair.a[a], n, rows.normal[3 * mine[k].high + a]);
+          for (int a = 0; a < 3; ++a) set(pair.a[a], n, rows.normal[3 * own_pairs[k].high + a]);
           pair.sides([&](Side<V>& side, double sign) {
-            const int m = sign > 0.0 ? mine[k].high : mine[k].low;
+            const int m = sign > 0.0 ? own_pairs[k].high : own_pairs[k].low;
             if (m < 0) return;
             set(side.bound, n, rows.bound[m]);
             set(side.share, n, rows.share[m]);
             set(side.weight, n, rows.weight[m]);
           });
         }
-        const NormalBound room(rows, mine);
+        const NormalBound room(rows, own_pairs);
         set(u_bound_[b], n, room.most);
         set(u_growth_[b], n, room.more);
         bounding_rows_[W * b + n] = room.by;
@@ -118,7 +112,7 @@ template <class V, int B> class LimitTerms {
     find_shift(cones);
   }
 
-  // The parabola begins at `edge` times the contact's own scale sqrt(lambda / omega), the scale of
+  // The parabola begins at `edge` times the contact's own scale sqrt(lambda / omega), that of
   // slacks at active limits. From LARGEST_EDGE on, any force is a start. A smaller first edge takes
   // more steps to come inside, a larger one more steps to be lowered.
   static constexpr double LARGEST_EDGE = 8.0;
@@ -136,8 +130,8 @@ template <class V, int B> class LimitTerms {
     });
     return total;
   }
-  // Add the rows' terms to the cones' gradient and inverse Hessian at x.
-  void bend(int b, const Vec3<V>& x, Vec3<V>& gradient, Sym3<V>& inverse) {
+  // Add the rows' terms to the gradient and the inverse Hessian of contacts b at x.
+  void add_to_gradient_and_hessian(int b, const Vec3<V>& x, Vec3<V>& gradient, Sym3<V>& inverse) {
     const V edge = all<V>(edge_) * scale_[b];
     if (b == 0) least_slack_ = all<V>(infinity);
     for_each(b, [&](Pair<V>& p) {
@@ -147,12 +141,12 @@ template <class V, int B> class LimitTerms {
         least_slack_ = min(least_slack_, side.slack / scale_[b]);
         const V c = max(side.slack, edge);
         const V i = 1.0 / c;
-        const V price = side.weight * i * i;
-        side.bend = 2.0 * price * i;
-        side.price = price - side.bend * (side.slack - c);
+        const V multiplier = side.weight * i * i;
+        side.bend = 2.0 * multiplier * i;
+        side.multiplier = multiplier - side.bend * (side.slack - c);
       });
-      gradient += p.price() * p.a;
-      p.bend(inverse);
+      gradient += p.multiplier() * p.a;
+      p.update_inverse(inverse);
     });
   }
   // The multipliers of Newton's model after a step.
@@ -160,19 +154,19 @@ template <class V, int B> class LimitTerms {
     for_each(b, [&](Pair<V>& p) {
       const V along = dot(p.a, step);
       p.sides([&](Side<V>& side, double sign) {
-        side.price = max(V{}, side.price + sign * side.bend * along);
+        side.multiplier = max(V{}, side.multiplier + sign * side.bend * along);
       });
     });
   }
   // Subtract the rows from y = G^T nu. Return their part of the dual value, the minimum of
-  // barrier(slack) + price (slack - bound).
+  // barrier(slack) + multiplier (slack - bound).
   V dual(int b, const Vec6&, Vec3<V>& y) const {
     V total{};
     const V edge = all<V>(edge_) * scale_[b];
     for_each(b, [&](const Pair<V>& p) {
-      y -= p.price() * p.a;
+      y -= p.multiplier() * p.a;
       p.sides([&](const Side<V>& side, double) {
-        total += conjugate(side.price, edge, side.weight) - side.price * side.bound;
+        total += conjugate(side.multiplier, edge, side.weight) - side.multiplier * side.bound;
       });
     });
     return total;
@@ -193,8 +187,8 @@ template <class V, int B> class LimitTerms {
   // True if all terms are lambda / slack at x.
   bool within(const Field& x) const { return least_slack(x) >= edge_; }
 
-  // Largest excess of a limit at x, as a fraction of the limit; 0 within. A limit with share 0
-  // counts as never exceeded.
+  // Largest excess of a limit at x, as a fraction of the limit. A limit with share 0 is never
+  // exceeded.
   double excess(const Field& x) const {
     V most{};
     for (int b = 0; b < int(x.size()); ++b)
@@ -206,15 +200,14 @@ template <class V, int B> class LimitTerms {
     return largest(most);
   }
 
-  // Judge the Newton step from the x of the last `bend`. nu: its multipliers; decrement: its
-  // squared decrement as a fraction of Phi. If the multipliers prove that no force keeps the
-  // limits, nu becomes that proof.
+  // Judge the Newton step from the last x. nu: its multipliers; decrement: its squared decrement as
+  // a fraction of Phi. If the multipliers prove that no force keeps the limits, nu becomes that
+  // proof.
   Verdict judge(const Cones<V, B>& cones, Vec6& nu, const Vec6& w, double decrement,
                 int iterations) {
     const double slack = least(least_slack_);
     if (slack >= edge_) return Verdict::proceed;
-    // the optimum with a parabola need not be exact, unless rows are far below the edge: then the
-    // multipliers depend on it
+    // far below the edge the multipliers depend on the exact optimum with the parabola
     const bool settled = decrement < (slack < -BROKEN * edge_ ? CLOSER : SETTLED);
     if (slack <= 0.0 && (settled || (iterations >= 2 && iterations % 2 == 1)) &&
         proves_infeasible(cones, nu, w))
@@ -232,22 +225,23 @@ template <class V, int B> class LimitTerms {
   // -value / share is a lower bound on t. Contacts whose u_max no row bounds have nu changed (see
   // `find_shift`) until their delta is zero.
   struct Farkas {
-    double value, share, size;
+    double value, share, size;  // size: sum of the absolute terms of value
     Vec6 nu;
-  };  // size: sum of the absolute terms of value
-  Farkas farkas(const Cones<V, B>& cones, const Vec6& given, const Vec6& w, double t = 0.0) const {
-    const Vec6 nu = shifted(cones, given);
+  };
+  Farkas farkas(const Cones<V, B>& cones, const Vec6& multipliers, const Vec6& w,
+                double t = 0.0) const {
+    const Vec6 nu = shifted(cones, multipliers);
     V total{}, share{}, size{};
     const V pushed = all<V>(-dot(shift_, w));
     for (int b = 0; b < int(cones.blocks.size()); ++b) {
       Vec3<V> q = -cones.blocks[b].transposed(nu);
       for_each(b, [&](const Pair<V>& p) {
-        q += p.price() * p.a;
+        q += p.multiplier() * p.a;
         p.sides([&](const Side<V>& side, double) {
-          const V cost = side.price * side.bound;
+          const V cost = side.multiplier * side.bound;
           total += cost;
           size += abs(cost);
-          share += side.price * side.share;
+          share += side.multiplier * side.share;
         });
       });
       const V room = max(V{}, u_bound_[b] + all<V>(t) * u_growth_[b] + unbounded_[b] * pushed);
@@ -261,13 +255,13 @@ template <class V, int B> class LimitTerms {
     return {value, sum(share), of, nu};
   }
   bool proves_infeasible(const Cones<V, B>& cones, Vec6& nu, const Vec6& w) {
-    const Farkas found = farkas(cones, nu, w);
-    if (!(found.value < -PROOF_MARGIN * found.size)) return false;
-    nu = found.nu;
+    const Farkas proof = farkas(cones, nu, w);
+    if (!(proof.value < -PROOF_MARGIN * proof.size)) return false;
+    nu = proof.nu;
     std::fill(extra_multipliers_.begin(), extra_multipliers_.end(), 0.0);
     for (int i = 0; i < cones.count; ++i) {
       Vec3<V> q = -cones.blocks[i / W].transposed(nu);
-      for_each(i / W, [&](const Pair<V>& p) { q += p.price() * p.a; });
+      for_each(i / W, [&](const Pair<V>& p) { q += p.multiplier() * p.a; });
       const double lacking = -get(slack(q), i % W);
       for (int k = 0; k < 3 && lacking > 0.0; ++k)
         if (const int m = bounding_rows_[i].row[k]; m >= 0)
@@ -276,16 +270,16 @@ template <class V, int B> class LimitTerms {
     return true;
   }
 
-  // Call f(row, price) for all rows of the last proof: G^T v + sum price a, v = -nu, lies in every
-  // dual cone. The rows that bound u provide what the multipliers lack.
+  // Call f(row, multiplier) for all rows of the last proof: G^T v + sum multiplier a, v = -nu, lies
+  // in every dual cone. The rows that bound u provide what the multipliers lack.
   template <class F> void multipliers(F&& f) const {
     for (int i = 0; i < int(pairs_of_.size()); ++i)
       for (int k = 0; k < int(pairs_of_[i].size()); ++k) {
         const auto& pair = pairs_[pairs_per_contact_ * (i / W) + k];
         const int high = pairs_of_[i][k].high;
         const int low = pairs_of_[i][k].low;
-        f(high, get(pair.high.price, i % W) + extra_multipliers_[high]);
-        if (low >= 0) f(low, get(pair.low.price, i % W) + extra_multipliers_[low]);
+        f(high, get(pair.high.multiplier, i % W) + extra_multipliers_[high]);
+        if (low >= 0) f(low, get(pair.low.multiplier, i % W) + extra_multipliers_[low]);
       }
   }
 
@@ -302,11 +296,11 @@ template <class V, int B> class LimitTerms {
   static constexpr double CLOSER = 3e-4;  // the same if a row is BROKEN edges outside
   static constexpr double BROKEN = 10.0;
   static constexpr double EDGE_FACTOR = 1.0 / 16.0;
-  // below it the problem is nearly infeasible and left to the general program
+  // below it the problem is nearly infeasible, for the general program
   static constexpr double LEAST_EDGE = 1e-6;
-  // fraction of the terms of a proof: far above their rounding
+  // fraction of the terms of a proof, far above rounding
   static constexpr double PROOF_MARGIN = BOUNDARY;
-  // Fraction of the trace: regularises contacts that the least squares leave undetermined.
+  // fraction of the trace: regularises contacts that least squares leave undetermined
   static constexpr double REGULARISATION = 1e-12;
   static constexpr double INSIDE = 0.1;  // of e_u: required depth of the answer in the dual cones
   static constexpr double PARALLEL = 1e-12;  // allowed difference of opposite rows
@@ -315,20 +309,19 @@ template <class V, int B> class LimitTerms {
   std::vector<std::vector<RowPair>> pairs_of_;  // pairs of each contact
   std::vector<Pair<V>> pairs_;                  // (blocks, each)
   std::vector<BoundingRows> bounding_rows_;     // for each contact
-  std::vector<double> extra_multipliers_;  // (M,) multipliers of a proof beyond those of the pairs
+  std::vector<double> extra_multipliers_;       // (M,) of a proof, beyond those of the pairs
   // u is at most u_bound + t u_growth within limits raised by t
   Blocks<V, B> scale_, u_bound_, u_growth_;
-  Blocks<V, B> unbounded_;  // 1 for a contact that no row bounds, with u at most u_bound + t
-                            // u_growth - shift . w
+  // 1 for a contact that no row bounds, with u at most u_bound + t u_growth - shift . w
+  Blocks<V, B> unbounded_;
   Vec6 shift_{};
   bool has_shift_ = false;
   V least_slack_{};
 
   // For contacts that no row bounds: find by least squares a twist nu with G_i^T nu - e_u in the
-  // dual cone of each. Adding it takes multipliers into their dual cones. Together with the bounds
-  // of the other contacts it bounds the rounding left there: the u add up to at most nu . sum G_i
-  // x_i = -nu . w - sum (G_j^T nu) . x_j over the others. Contacts that can squeeze the object by
-  // themselves have no such twist.
+  // dual cone of each. Adding it takes multipliers into their dual cones. It bounds the rounding
+  // left there: the u add up to at most nu . sum G_i x_i = -nu . w - sum (G_j^T nu) . x_j over the
+  // other contacts. Contacts that can squeeze the object by themselves have no such twist.
   void find_shift(const Cones<V, B>& cones) {
     const int blocks = int(cones.blocks.size());
     Packed6 square{};
@@ -357,7 +350,7 @@ template <class V, int B> class LimitTerms {
     has_shift_ = inside > INSIDE && inside < infinity;
     if (!has_shift_) {
       shift_ = {};
-      for (auto& each : unbounded_) each = V{};
+      for (auto& block : unbounded_) block = V{};
       return;
     }
     shift_ = (1.0 / inside) * nu;
@@ -378,7 +371,7 @@ template <class V, int B> class LimitTerms {
     V lacking{};
     for (int b = 0; b < int(cones.blocks.size()); ++b) {
       Vec3<V> q = -cones.blocks[b].transposed(nu);
-      for_each(b, [&](const Pair<V>& p) { q += p.price() * p.a; });
+      for_each(b, [&](const Pair<V>& p) { q += p.multiplier() * p.a; });
       lacking = max(lacking, unbounded_[b] * -slack(q));
     }
     return nu - (1.0 + PROOF_MARGIN) * largest(lacking) * shift_;
@@ -413,11 +406,11 @@ template <class V, int B> class LimitTerms {
     const V e = (slack - c) * i;
     return weight * i * (1.0 - e + e * e);
   }
-  // minimum over s of barrier(s) + price s
-  static V conjugate(const V& price, const V& edge, const V& weight) {
+  // minimum over s of barrier(s) + multiplier s
+  static V conjugate(const V& multiplier, const V& edge, const V& weight) {
     const V most = weight / (edge * edge);
-    const V inside = min(price, most);
-    const V over = price - inside;
+    const V inside = min(multiplier, most);
+    const V over = multiplier - inside;
     const V bend = weight > 0.0 ? 0.25 * edge * edge * edge / weight : V{};
     return 2.0 * sqrt(weight * inside) + over * edge - bend * over * over;
   }

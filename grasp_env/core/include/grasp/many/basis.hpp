@@ -6,8 +6,8 @@
 namespace grasp {
 
 inline constexpr StopRule BASIS_STOP{.tolerance = 1e-10, .limit = 200};
-// Basis forces serve as starts: if floating point stops short of 1e-10 (tiny lambda), a gap of a
-// hundredth is good enough.
+// Basis forces serve as starts: if floating point stops short of 1e-10 (tiny lambda), a hundredth
+// is good enough.
 inline constexpr double ACCEPTED_GAP = 1e-2;
 
 // Computes the basis for the contacts of a `NewtonSolver`: first the optimum at rest (12), from
@@ -26,7 +26,7 @@ template <class V, int B> class BasisMaker {
       else
         worst_ = infinity;
     }
-    return made();
+    return finish();
   }
   // Start from newton.x, an internal force strictly inside. Allocates.
   double cold() {
@@ -34,7 +34,7 @@ template <class V, int B> class BasisMaker {
     const double scale = best_scale(newton_.cones, x);
     for (auto& v : x) v = all<V>(scale) * v;
     descend(12);
-    if (!(worst_ < infinity)) return made();
+    if (!(worst_ < infinity)) return finish();
     NewtonLanes<REGISTER> lanes(newton_.cones, BASIS_STOP, LONG);
     std::vector<double> flat(3 * newton_.cones.count);
     const auto enter = [&](int lane, std::ptrdiff_t k) {
@@ -56,14 +56,14 @@ template <class V, int B> class BasisMaker {
       store_optimum(int(k), at.value, at.bound);
     };
     run(lanes, 12, enter, leave);
-    return made();
+    return finish();
   }
 
  private:
   NewtonSolver<V, B>& newton_;
   double worst_ = 0.0;
   double wrench_[6];
-  Vec6 w_;  // wrench of an optimum: in the given frame, in the unit frame
+  Vec6 w_;  // the wrench of an optimum; in the unit frame
 
   void set_wrench(int k) {
     std::fill(wrench_, wrench_ + 6, 0.0);
@@ -108,16 +108,15 @@ template <class V, int B> class BasisMaker {
     newton_.starter.basis[k] = newton_.x;
     worst_ = bound > 0.0 ? std::max(worst_, (value - bound) / bound) : infinity;
   }
-  double made() {
+  double finish() {
     newton_.starter.has_basis = worst_ < ACCEPTED_GAP;
     newton_.starter.basis_tangents = newton_.starter.tangents;
     return worst_;
   }
 };
 
-// Fill the basis of `newton` for its contacts. Return the worst relative gap; inf: failed.
-// warm: start from the optima of nearby contacts in the basis; otherwise newton.x must be an
-// internal force strictly inside.
+// Fill the basis of `newton`. Return the worst relative gap; inf: failed. warm: the basis holds the
+// optima of nearby contacts; otherwise newton.x must be an internal force strictly inside.
 template <class V, int B> double make_basis(NewtonSolver<V, B>& newton, bool warm) {
   BasisMaker<V, B> maker(newton);
   return warm ? maker.warm() : maker.cold();

@@ -1,6 +1,6 @@
 // Problems on many grasps. A grasp with many problems is solved alone. For all others a register
-// holds W problems, each on the contacts of its own grasp, from placing the contacts to the record.
-// Problems that need more than an ordinary descent are solved again alone. Lanes are independent.
+// holds W problems, each on its own grasp, from placing the contacts to the record. Those that need
+// more than an ordinary descent are solved again alone. Lanes are independent.
 #pragma once
 #include <grasp/many/basis.hpp>
 #include <grasp/math/dispatch.hpp>
@@ -8,13 +8,12 @@
 
 namespace grasp {
 
-// The contacts of one problem, (N, 3) each, but weights (N, 2) omega and lambda. apart: stride
-// between the coordinates of a tangent.
+// The contacts of one problem, (N, 3) each; weights (N, 2) omega and lambda. apart: stride of the
+// coordinates of a tangent.
 struct ContactArrays {
   const double *positions, *normals, *scale, *tangents, *weights;
   int apart = 1;
 };
-// One problem: its contacts and its index.
 struct LaneProblem {
   ContactArrays at;
   std::ptrdiff_t number;
@@ -27,8 +26,7 @@ class Grasps {
   std::ptrdiff_t count;
   const double *weights, *first;  // (N, 2) omega, lambda; (U + 1,)
 
-  // placed: (U,) placed contacts, whose own weights are ignored; grasps with soft contacts are not
-  // solved.
+  // placed: (U,) contacts, whose weights are ignored; soft ones are not solved.
   Grasps(int contacts, std::ptrdiff_t count, const Contacts* const* placed, const double* weights,
          const double* first)
       : contacts(contacts), count(count), weights(weights), first(first), placed_(placed) {}
@@ -44,9 +42,9 @@ class Grasps {
         k};
   }
   Contacts with_weights(std::ptrdiff_t u) const {
-    Contacts made = *placed_[u];
-    made.set_weights(weights);
-    return made;
+    Contacts contacts = *placed_[u];
+    contacts.set_weights(weights);
+    return contacts;
   }
 
  private:
@@ -69,8 +67,7 @@ template <int W> class PlacedLanes {
         step_(count),
         system_(Cones<V, 0>(count)) {}
 
-  // Place the contacts into the cones. Return the ordinary lanes: finite numbers, normals of unit
-  // length, rank 6 beyond doubt.
+  // Return the ordinary lanes: finite numbers, normals of unit length, rank 6 beyond doubt.
   Mask place(const LaneProblem (&problems)[W], Cones<V, 0>& cones) {
     const int count = cones.count;
     for (int lane = 0; lane < W; ++lane) {
@@ -125,7 +122,7 @@ template <int W> class PlacedLanes {
     return (total < infinity) & (off == 0.0) & (rank_bound(s, factor) > Contacts::WELL_CONDITIONED);
   }
 
-  // The same as `NewtonSolver::internal_force`, for grasps where a few plain steps find one.
+  // As `NewtonSolver::internal_force`, where a few plain steps find one.
   Mask internal_force(const Cones<V, 0>& cones, Field& rest) {
     return balance_inside(cones, x_, step_, rest, FEW_STEPS, [&](Six<V>& missed) {
       return system_.internal_step(cones, x_, missed, step_);
@@ -162,7 +159,7 @@ template <int W> struct GraspLanes {
   GraspLanes(int contacts, const SolveBatch& many)
       : many(many), placed(contacts), rest(contacts), first(rest), force(rest) {}
 
-  // Place the contacts into the cones. Return a mask of those without degenerate contacts.
+  // Return a mask of the problems without degenerate contacts.
   Mask place(const LaneProblem (&problems)[W], Cones<V, 0>& cones) {
     const Mask good = placed.place(problems, cones) & placed.internal_force(cones, rest);
     for (int lane = 0; lane < W; ++lane)
@@ -212,10 +209,10 @@ template <int W> class NewtonGrasps {
   NewtonGrasps(int contacts, const StopRule& options, const SolveBatch& many)
       : group_(contacts, many), lanes_(contacts, options) {}
 
-  // Solve the problems that are `wanted` and ordinary. Return the solved ones.
-  Mask solve(const LaneProblem (&problems)[W], const Mask& wanted) {
+  // Solve the problems that are `chosen` and ordinary. Return the solved ones.
+  Mask solve(const LaneProblem (&problems)[W], const Mask& chosen) {
     auto& g = group_;
-    Mask live = wanted & g.place(problems, lanes_.cones);
+    Mask live = chosen & g.place(problems, lanes_.cones);
     const auto& cones = lanes_.cones;
     const V scale = best_scale(cones, g.rest);
     for (auto& x : g.rest) x = scale * x;
@@ -257,10 +254,10 @@ template <int W> class ConicGrasps {
   ConicGrasps(int contacts, const StopRule& options, const SolveBatch& many)
       : group_(contacts, many), lanes_(contacts, options) {}
 
-  Mask solve(const LaneProblem (&problems)[W], const Mask& wanted) {
+  Mask solve(const LaneProblem (&problems)[W], const Mask& chosen) {
     auto& g = group_;
     auto& steps = lanes_.steps;
-    Mask live = wanted & g.place(problems, steps.cones);
+    Mask live = chosen & g.place(problems, steps.cones);
     const auto& cones = steps.cones;
     const V scale = size(g.w);
     live &= (scale >= NOTHING) & cones.is_in_range(g.rest) & (cones.margin(g.rest) > 0.0);
@@ -280,12 +277,12 @@ template <int W> class ConicGrasps {
     }
     for (int b = 0; b < cones.count; ++b) steps.at[b].x = g.force[b];
     steps.y = g.nu;
-    const auto made = steps.answer(lanes_.minus, scale, g.force);
-    g.nu = made.theta * g.nu;
-    g.bound = made.bound;
-    g.objective = made.price;
+    const auto answer = steps.answer(lanes_.minus, scale, g.force);
+    g.nu = answer.theta * g.nu;
+    g.bound = answer.bound;
+    g.objective = answer.price;
     g.trials = g.iterations;
-    good &= g.check(cones) & (g.margin >= 0.0) & (made.gap() <= lanes_.options.tolerance);
+    good &= g.check(cones) & (g.margin >= 0.0) & (answer.gap() <= lanes_.options.tolerance);
     g.write(problems, good, cones);
     return good;
   }
@@ -295,9 +292,8 @@ template <int W> class ConicGrasps {
   ConicLanes<W> lanes_;
 };
 
-// Solve all problems. one(contacts, problems) solves a grasp that has many; it returns false if no
-// internal force is found quickly. The remaining records are REFUSED, to be solved by
-// `ForceOptimizer`.
+// Solve all problems. one(contacts, problems) solves a grasp that has many; false: no internal
+// force was found quickly. The remaining records are REFUSED, for `ForceOptimizer`.
 template <class Group, class F>
 void solve_grasps(const Grasps& grasps, const SolveBatch& many, Group& group, F&& one) {
   constexpr int W = REGISTER;
@@ -307,14 +303,14 @@ void solve_grasps(const Grasps& grasps, const SolveBatch& many, Group& group, F&
   LaneProblem problems[W];
   int waiting = 0;
   const auto solve = [&] {
-    typename Group::Mask wanted{};
+    typename Group::Mask chosen{};
     for (int lane = 0; lane < W; ++lane) {
-      if (lane < waiting) wanted[lane] = -1;
-      // the lane needs valid data
+      if (lane < waiting)
+        chosen[lane] = -1;
       else
-        problems[lane] = problems[0];
+        problems[lane] = problems[0];  // the lane needs valid data
     }
-    const auto good = group.solve(problems, wanted);
+    const auto good = group.solve(problems, chosen);
     for (int lane = 0; lane < waiting; ++lane)
       if (!good[lane]) refuse(problems[lane].number);
     waiting = 0;
@@ -352,9 +348,9 @@ inline void newton_grasps(const Grasps& grasps, const StopRule& options, const S
     auto rest = one.cones.field();
     solve_grasps(grasps, many, group, [&](const Contacts& contacts, const SolveBatch& part) {
       one.cones.pack(contacts);
-      const bool found = one.find_rest(rest, true);
-      if (found) newton_many(one, rest, options, part);
-      return found;
+      const bool closes = one.find_rest(rest, true);
+      if (closes) newton_many(one, rest, options, part);
+      return closes;
     });
   });
 }

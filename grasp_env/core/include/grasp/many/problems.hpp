@@ -1,21 +1,20 @@
 // Many problems side by side: a register holds one contact of W problems, and the next problem
-// takes the lane of one that ends. Lanes are independent: an answer does not depend on the problems
-// beside it. A problem starts and finishes alone, in the registers of one problem (`NewtonSolver`,
-// `ConicSolver`), which also solve anything but an ordinary descent from the start.
+// takes the lane of one that ends. An answer does not depend on the problems beside it. Problems
+// start and finish alone, by `NewtonSolver` and `ConicSolver`, which also solve those that need
+// more than an ordinary descent.
 #pragma once
 #include <grasp/conic/conic.hpp>
 #include <grasp/newton/newton.hpp>
 
 namespace grasp {
 
-// The numbers of one lane.
 template <int W> inline Vec6 of(const Six<Each<W>>& a, int lane) {
   Vec6 out;
   for (int r = 0; r < 6; ++r) out[r] = get(a[r], lane);
   return out;
 }
 
-// Problems that have reached their tolerance, and problems that must be solved alone.
+// Problems that have reached their tolerance; problems that must be solved alone.
 template <class Mask> struct LaneOutcome {
   Mask closed, alone;
 };
@@ -46,7 +45,7 @@ template <int W> class NewtonLanes {
   }
 
   // Load a problem: its start (3N,) in cone coordinates, balanced and strictly inside, its wrench,
-  // and Phi at the start.
+  // Phi.
   void begin(int lane, const double* start, const Vec6& w, double phi) {
     cones.load(start, x, lane);
     for (int r = 0; r < 6; ++r) set(wrench[r], lane, w[r]);
@@ -56,7 +55,7 @@ template <int W> class NewtonLanes {
     set(trials, lane, 0.0);
   }
 
-  // Load all lanes at once. Return a mask of those with a valid start.
+  // Load all lanes. Return those with a valid start.
   Mask begin(const Field& start, const Six<V>& w) {
     x = start;
     wrench = w;
@@ -75,8 +74,8 @@ template <int W> class NewtonLanes {
             .nu = of(nu, lane)};
   }
 
-  // Take one step of the `live` lanes, as in `NewtonSolver::descend`. Flat: a call for a part of it
-  // costs a tenth of the time.
+  // Step the `live` lanes, as in `NewtonSolver::descend`. Flat: a call for a part of it costs a
+  // tenth of the time.
   [[gnu::flatten]] LaneOutcome<Mask> step(const Mask& live) {
     const double tolerance = options.tolerance;
     Mask open = live & system_.assemble(cones, x) &
@@ -110,26 +109,26 @@ template <int W> class NewtonLanes {
   System<V, 0> system_;
   Field step_;
 
-  void raise(const Mask& which, const V& found) { bound = select(which, max(bound, found), bound); }
+  void raise(const Mask& which, const V& next) { bound = select(which, max(bound, next), bound); }
 
-  // Halve alpha in the open lanes until Phi decreases; `value` follows, and alpha becomes 0
-  // elsewhere. Return the lanes that moved.
+  // Halve alpha in the open lanes until Phi decreases; `value` follows, alpha becomes 0 elsewhere.
+  // Return the lanes that moved.
   Mask search(Mask open, const V& decrement, V& alpha) {
     const Mask flat = By::is_within_rounding(value, decrement);
     Mask moved{};
     V taken{};
     for (int halving = 0; halving < By::HALVINGS; ++halving, alpha = 0.5 * alpha) {
       trials += select(open, V(1.0), V(0.0));
-      const V found = cones.phi_along(x, step_, alpha);
+      const V after = cones.phi_along(x, step_, alpha);
       Mask good =
-          open & (By::decreases(found, value, alpha, decrement) | (flat & (found <= value)));
+          open & (By::decreases(after, value, alpha, decrement) | (flat & (after <= value)));
       if (const Mask suspect = halving > 0 ? good : good & flat; any(suspect)) {
         const Mask far =
             alpha * cones.largest_normal(step_) > By::SHORTEST * cones.largest_normal(x);
         open &= ~(suspect & ~far);
         good &= ~(suspect & ~far);
       }
-      value = select(good, found, value);
+      value = select(good, after, value);
       taken = select(good, alpha, taken);
       moved |= good;
       open &= ~good;
@@ -155,7 +154,7 @@ template <int W> class ConicLanes {
     steps.cones.spread(contacts);
   }
 
-  // Start all lanes at once, each from its own internal force. Return those not yet solved.
+  // Start all lanes, each from its own internal force. Return those not yet solved.
   Mask begin() {
     steps.start(minus);
     iterations = V{};
@@ -164,7 +163,7 @@ template <int W> class ConicLanes {
 
   // Load the start of a problem; write back its last iterate and return its number of iterations.
   template <class C, int B> void begin(int lane, const ConicSteps<C, B>& from, const Vec6& w) {
-    each(from, [&](int b, int c, int n, int a) {
+    for_each(from, [&](int b, int c, int n, int a) {
       set(steps.at[c].x[a], lane, get(from.at[b].x[a], n));
       set(steps.at[c].s[a], lane, get(from.at[b].s[a], n));
     });
@@ -177,8 +176,9 @@ template <int W> class ConicLanes {
     set(iterations, lane, 0.0);
   }
   template <class C, int B> int end(int lane, ConicSteps<C, B>& to) const {
-    each(to,
-         [&](int b, int c, int n, int a) { set(to.at[b].x[a], n, get(steps.at[c].x[a], lane)); });
+    for_each(to, [&](int b, int c, int n, int a) {
+      set(to.at[b].x[a], n, get(steps.at[c].x[a], lane));
+    });
     to.y = of(steps.y, lane);
     return int(get(iterations, lane));
   }
@@ -193,14 +193,14 @@ template <int W> class ConicLanes {
 
  private:
   // Call f(block, contact, its lane there, coordinate).
-  template <class C, int B, class F> static void each(const ConicSteps<C, B>& one, F&& f) {
+  template <class C, int B, class F> static void for_each(const ConicSteps<C, B>& one, F&& f) {
     for (int c = 0; c < one.cones.count; ++c)
       for (int a = 0; a < 3; ++a) f(c / width<C>, c, c % width<C>, a);
   }
 };
 
-// Solve problems 0 .. many - 1 in the lanes. begin(lane, k): loads problem k into a lane, or
-// handles it otherwise and returns false. end(lane, k, closed): takes it out.
+// Solve problems 0 .. many - 1 in the lanes. begin(lane, k): loads problem k, or returns false if
+// it needs no lane. end(lane, k, closed): takes it out.
 template <class SolveBatch, class Begin, class End>
 void run(SolveBatch& lanes, std::ptrdiff_t many, Begin&& begin, End&& end) {
   constexpr int W = sizeof(typename SolveBatch::V) / sizeof(double);

@@ -1,5 +1,5 @@
-// Newton on Phi within limits, in one call: the optimum, a proof that no force exists, or the force
-// that exceeds the limits least.
+// Newton on Phi within limits: the optimum, a proof that no force exists, or the force of least
+// excess.
 #pragma once
 #include <grasp/newton/excess.hpp>
 #include <grasp/newton/newton.hpp>
@@ -10,19 +10,18 @@ template <class V, int B> class LimitedNewton {
  public:
   NewtonSolver<V, B, LimitTerms<V, B>> newton;
   bool elastic = false;  // if no force keeps the limits, find the one that exceeds them least
-  // factor that scales the multipliers in `newton.rows` of a proof to its twist
+  // factor from the multipliers in `newton.rows` of a proof to its twist
   double proof_scale = 0.0;
 
   explicit LimitedNewton(int count)
       : newton(count), begun_(newton.cones.field()), least_(newton.cones) {}
 
-  // Solve from a previous optimum, or from any balanced force inside the cones.
-  // REFUSED: numbers that are not finite, no start, or a problem for the general program: nearly
-  // infeasible, or out of digits. INFEASIBLE: no force; the multipliers are a twist v, -nu of the
-  // proof (`LimitTerms::farkas`): v . w > max -v . G f within the limits. LIMITS_EXCEEDED:
-  // objective and bound are those of the excess. begin(w, previous): writes the start into
-  // newton.x: that of the call, or if `previous` the balanced optimum of another wrench. Returns
-  // true if there is one.
+  // Solve from a previous optimum, or from any balanced force inside the cones. REFUSED: numbers
+  // that are not finite, no start, or a problem for the general program: nearly infeasible, or out
+  // of digits. INFEASIBLE: the multipliers are a twist v, -nu of `LimitTerms::farkas`: v . w > max
+  // -v . G f within the limits. LIMITS_EXCEEDED: objective and bound are those of the excess.
+  // begin(w, previous): writes the start into newton.x, or if `previous` the balanced optimum of
+  // another wrench; returns true if there is one.
   template <class F> Code solve(const Call& call, const Record& record, F&& begin) {
     Summary& s = record.summary();
     s.code = REFUSED;
@@ -43,7 +42,7 @@ template <class V, int B> class LimitedNewton {
   }
 
  private:
-  // of the least slack of a previous force: edge of the parabola
+  // edge of the parabola, as a fraction of the least slack of a previous force
   static constexpr double FIRM = 0.5;
   typename Cones<V, B>::Field begun_;
   LeastExcess<V, B> least_;
@@ -52,7 +51,6 @@ template <class V, int B> class LimitedNewton {
     return code == REFUSED || code == STALLED || (code == LIMIT && !newton.rows.within(newton.x));
   }
 
-  // Descend from a previous optimum.
   Code descend_from_previous(const Call& call, const Vec6& w, const Record& record) {
     newton.cones.load_force(call.force, newton.x);
     const double room = newton.rows.least_slack(newton.x);
@@ -74,8 +72,7 @@ template <class V, int B> class LimitedNewton {
     return code;
   }
 
-  // True if the least excess follows from a previous one in newton.x, without a proof that the
-  // limits must be exceeded.
+  // True if the least excess follows from a previous one in newton.x, without a proof.
   bool follow_excess(const Call& call, const Vec6& w, const Record& record) {
     if (!(newton.rows.excess(newton.x) > EXCESS_FLOOR)) return false;
     newton.cones.store_force(newton.x, record.initial_force());
@@ -83,24 +80,24 @@ template <class V, int B> class LimitedNewton {
     Summary& s = record.summary();
     s.iterations = s.trials = 0.0;
     std::copy(call.wrench, call.wrench + 6, s.wrench.begin());
-    const bool found =
+    const bool exceeded =
         minimise_excess(w, record) == LIMITS_EXCEEDED && s.lower_bound > EXCESS_FLOOR;
-    s.code = found ? LIMITS_EXCEEDED : REFUSED;
-    return found;
+    s.code = exceeded ? LIMITS_EXCEEDED : REFUSED;
+    return exceeded;
   }
 
   Code minimise_excess(const Vec6& w, const Record& record) {
     const auto& cones = newton.cones;
-    const auto found = least_.solve(cones, newton.rows, newton.system, w, newton.x);
+    const auto force = least_.solve(cones, newton.rows, newton.system, w, newton.x);
     cones.balance(newton.x, w);
     cones.certify(newton.x, w, record);
     Summary& s = record.summary();
-    s.iterations += found.iterations;
-    s.trials += found.iterations;
+    s.iterations += force.iterations;
+    s.trials += force.iterations;
     s.objective = s.limit_excess = newton.rows.excess(newton.x);
-    s.lower_bound = found.bound;
-    s.multipliers = cones.unit.pull_back(found.multipliers);
-    return found.certified && s.margin > 0.0 ? LIMITS_EXCEEDED : STALLED;
+    s.lower_bound = force.bound;
+    s.multipliers = cones.unit.pull_back(force.multipliers);
+    return force.certified && s.margin > 0.0 ? LIMITS_EXCEEDED : STALLED;
   }
 };
 

@@ -6,7 +6,7 @@
 
 namespace grasp {
 
-// Rows: further terms of Phi besides the cones'.
+// Rows: further terms of Phi: limits (`LimitTerms`) or torsion (`SoftTerms`).
 template <class V, int B, class Rows = NoRows> class NewtonSolver {
  public:
   using Field = typename Cones<V, B>::Field;
@@ -30,8 +30,8 @@ template <class V, int B, class Rows = NoRows> class NewtonSolver {
         best_(cones.field()),
         centring_(cones.field()) {}
 
-  // Solve from the start that the internal force `rest` gives. REFUSED: numbers that are not
-  // finite, or no balanced start strictly inside.
+  // Solve from the start that the internal force `rest` gives. REFUSED: numbers are not finite, or
+  // no start.
   Code solve_from(const Field& rest, const Call& call, const Record& record) {
     record.summary().code = REFUSED;
     if (!is_valid_wrench(call.wrench)) return REFUSED;
@@ -41,10 +41,10 @@ template <class V, int B, class Rows = NoRows> class NewtonSolver {
     return descend_from(begun_, call, w, record);
   }
 
-  // Descend from the start in x, of which `begun` is a copy, and write the record. Steps reach
-  // `fraction` of the way to the boundary; if they stall, the descent follows the central path.
-  // leaping: the start is the optimum of another wrench, and the first step is a full Newton step
-  // that restores balance and descends at once; REFUSED if it leaves the cones.
+  // Descend from the start in x, copied in `begun`, and write the record. Steps reach `fraction` of
+  // the way to the boundary; if they stall, the descent follows the central path. leaping: the
+  // start is the optimum of another wrench, and the first step is a full one that restores balance
+  // and descends at once; REFUSED if it leaves the cones.
   Code descend_from(const Field& begun, const Call& call, const Vec6& w, const Record& record,
                     double fraction = SHORT, bool leaping = false) {
     cones.store_force(x, record.initial_force());
@@ -54,7 +54,7 @@ template <class V, int B, class Rows = NoRows> class NewtonSolver {
     if (!(at.value < infinity)) return REFUSED;
     Code code = descend(call, w, at, fraction, leaping);
     if (code == REFUSED) return REFUSED;
-    // the central path knows only the cones; if other terms stall, the general program takes over
+    // the central path knows only the cones; the general program takes over from other terms
     if constexpr (!Rows::has_terms) {
       if (code == STALLED) {
         const double value = at.value;
@@ -73,7 +73,7 @@ template <class V, int B, class Rows = NoRows> class NewtonSolver {
     return size(cones.wrench(x) + with_torsion(w)) <= MISSED * (cones.largest_normal(x) + size(w));
   }
 
-  // Take one more full step from a converged x if it does not raise Phi, to reach the last digits.
+  // Take one more full step from a converged x, to the last digits, if it does not raise Phi.
   void polish(const Vec6& w) {
     if (!system.assemble(cones, x)) return;
     const Vec6 left = system.made + w;
@@ -84,8 +84,7 @@ template <class V, int B, class Rows = NoRows> class NewtonSolver {
   }
 
   // Find an internal force strictly inside the cones, in x, by infeasible-start Newton from the
-  // axes. Return false without force closure. few: use only as many steps as are nearly always
-  // enough.
+  // axes. few: only as many steps as are nearly always enough. Return false without force closure.
   bool internal_force(bool few = false) {
     const auto plain = [&](Vec6& missed) { return system.internal_step(cones, x, missed, step_); };
     const auto careful = [&](Vec6& missed) {  // the barrier and any part of the price
@@ -105,7 +104,7 @@ template <class V, int B, class Rows = NoRows> class NewtonSolver {
     return true;
   }
 
-  // Check the claims about x on the force that is returned: balance, cones, gap.
+  // Check balance, cones and gap of the force that is returned.
   Code finish(Code code, const Field& safe, const Call& call, const Vec6& w,
               const DescentProgress& at, const Record& record) {
     Summary& s = record.summary();
@@ -140,7 +139,7 @@ template <class V, int B, class Rows = NoRows> class NewtonSolver {
   // the same along the central path: 40 unless hardly any force is inside
   static constexpr int LONGEST = 400;
   static constexpr double AHEAD = 3.0;  // factor on the part of the price to which x is nearest
-  // fraction of wrench and force: largest balance residual of a given start
+  // largest balance residual of a start, as a fraction of wrench and force
   static constexpr double MISSED = 1e-8;
   Field step_, begun_, best_, centring_;
 
@@ -160,10 +159,11 @@ template <class V, int B, class Rows = NoRows> class NewtonSolver {
 
   bool assemble() {
     if constexpr (Rows::has_terms) {
-      const auto bend = [&](int b, Vec3<V>& gradient, Sym3<V>& inverse) {
-        rows.bend(b, x[b], gradient, inverse);
+      // the rows of limits, or the torsion of soft contacts
+      const auto add_terms = [&](int b, Vec3<V>& gradient, Sym3<V>& inverse) {
+        rows.add_to_gradient_and_hessian(b, x[b], gradient, inverse);
       };
-      return system.assemble(cones, x, bend, rows);
+      return system.assemble(cones, x, add_terms, rows);
     } else {
       return system.assemble(cones, x);
     }
@@ -247,8 +247,7 @@ template <class V, int B, class Rows = NoRows> class NewtonSolver {
 
   // Newton along the central path from x. Every step aims at the optimum of the barrier plus the
   // largest part of the squeezing price for which that optimum is within reach. So forces approach
-  // the cones as late as possible: near a curved surface steps are short and the system loses
-  // digits.
+  // the cones late: near a curved surface steps are short and digits are lost.
   [[gnu::cold, gnu::noinline]] Code follow_central_path(const Call& call, const Vec6& w,
                                                         DescentProgress& at) {
     double part = 0.0;
@@ -286,8 +285,7 @@ template <class V, int B, class Rows = NoRows> class NewtonSolver {
   }
 
   // The largest part of the price that a full step of `follow_central_path` may aim at: at least
-  // the part to which x is nearest, and not far beyond it, where x would crawl along a surface
-  // again.
+  // that to which x is nearest, and not far beyond, where x would crawl along a surface.
   double reachable_part(double before) const {
     const auto reach = [&](double part) {
       V most{};
@@ -302,9 +300,9 @@ template <class V, int B, class Rows = NoRows> class NewtonSolver {
     if (reach(low) > LONG) return low;
     for (int round = 0; round < By::HALVINGS; ++round) {
       const double middle = std::sqrt(low * high);
-      const double found = reach(middle);
-      (found <= LONG ? low : high) = middle;
-      if (found <= LONG && found > 0.8 * LONG) break;
+      const double length = reach(middle);
+      (length <= LONG ? low : high) = middle;
+      if (length <= LONG && length > 0.8 * LONG) break;
     }
     return low;
   }
@@ -317,23 +315,22 @@ template <class V, int B, class Rows = NoRows> class NewtonSolver {
     cones.certify(x, w, record);
   }
 
-  // Halve alpha until the function `along` decreases; `value` follows it. Return false if no step
-  // that moves x decreases it.
+  // Halve alpha until `along` decreases; `value` follows. Return false if no step that moves x
+  // decreases it.
   template <class F>
   bool search(double& value, double decrement, double& alpha, int& trials, F&& along) {
     for (int halving = 0; halving < By::HALVINGS; ++halving, alpha *= 0.5) {
       ++trials;
-      const double found = along();
-      const bool falls = By::decreases(found, value, alpha, decrement);
+      const double after = along();
+      const bool falls = By::decreases(after, value, alpha, decrement);
       const bool flat = By::is_within_rounding(value, decrement);
-      if (falls || (flat && found <= value)) {
-        // far from the optimum Phi is nearly straight and steps are long, so the criterion is how
-        // far x moves
+      if (falls || (flat && after <= value)) {
+        // far from the optimum Phi is nearly straight and steps are long: judge how far x moves
         const bool suspect = flat || halving > 0;
         if (suspect &&
             !(alpha * cones.largest_normal(step_) > By::SHORTEST * cones.largest_normal(x)))
           return false;
-        value = found;
+        value = after;
         return true;
       }
     }

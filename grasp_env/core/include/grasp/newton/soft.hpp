@@ -17,9 +17,8 @@ template <class V, int B> class SoftNewton {
     newton.rows.pack(newton.cones, contacts, divisor);
   }
 
-  // REFUSED: numbers that are not finite, no start, or a problem for the general program, out of
-  // digits. begin(w): writes the start into newton.x, and its torsion into newton.rows; returns
-  // true if there is one.
+  // REFUSED: numbers that are not finite, no start, or too few digits, for the general program.
+  // begin(w): writes the start into newton.x and newton.rows; returns true if there is one.
   template <class F> Code solve(const Call& call, const Record& record, F&& begin) {
     Summary& s = record.summary();
     s.code = REFUSED;

@@ -231,7 +231,7 @@ template <class V, int B> class Algorithms {
     if (code == REFUSED) return general();
     if (code == CONVERGED) return code;
     General* program = on_.general();
-    return program ? program->conic_from(call_.stop, record_) : code;
+    return program ? program->least_normal_from(call_.stop, record_) : code;
   }
 
   // --- the general program
@@ -244,7 +244,7 @@ template <class V, int B> class Algorithms {
     Code code = REFUSED;
     if (on_.options.method == Method::conic) {
       call_.used.start = Start::central;
-      code = program->conic(call_.ask.wrench, on_.options.criterion, stop, record_);
+      code = program->least_normal(call_.ask.wrench, on_.options.criterion, stop, record_);
     } else {
       code = minimise_phi(*program, stop);
     }

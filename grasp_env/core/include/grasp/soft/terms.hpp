@@ -73,7 +73,7 @@ template <class V, int B> class SoftTerms {
     return min(p, q) > 0.0 ? contacts_[b].lambda * (p + q) / (p * q) : all<V>(infinity);
   }
   // Add to the gradient and inverse Hessian at x, with v eliminated.
-  void bend(int b, const Vec3<V>& x, Vec3<V>& gradient, Sym3<V>& inverse) {
+  void add_to_gradient_and_hessian(int b, const Vec3<V>& x, Vec3<V>& gradient, Sym3<V>& inverse) {
     const Contact& c = contacts_[b];
     State& n = states_[b];
     const V u2 = x.u * x.u;
@@ -105,7 +105,7 @@ template <class V, int B> class SoftTerms {
     for (int r = 0; r < 6; ++r) n.columns[r].u = c.hard[r] + n.lever * c.g[r];
   }
 
-  // --- for `System`, after bend
+  // --- for `System`
 
   const Vec3<V>* columns(int b) const { return states_[b].columns; }
   // add to S, G H^-1 grad and G x
