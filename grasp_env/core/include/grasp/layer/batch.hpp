@@ -1,5 +1,4 @@
-// Many problems as arrays, one row of each array per problem, and one of these problems in the form
-// that solvers take.
+// Many problems as arrays, one row of each per problem, and one of them in the form of solvers.
 #pragma once
 #include <span>
 #include <vector>
@@ -8,8 +7,7 @@
 
 namespace grasp {
 
-// The rows of an array, one per problem. step: numbers between rows; 0: one row serves all
-// problems.
+// The rows of an array, one per problem. step: numbers between rows; 0: one row for all.
 struct Slices {
   const double* data = nullptr;  // null: the array is not given
   std::ptrdiff_t step = 0;
@@ -18,9 +16,8 @@ struct Slices {
   explicit operator bool() const { return data; }
 };
 
-// All quantities share one frame of the caller's choice. Positions, normals, friction, wrenches and
-// weights are required. By default contacts are hard, have no limits, and have the tangents of the
-// default rule.
+// All quantities share one frame. Positions, normals, friction, wrenches and weights are required.
+// By default contacts are hard, without limits, with the tangents of the default rule.
 struct ForceBatch {
   std::ptrdiff_t size = 0;
   int contacts = 0, joints = 0;
@@ -48,11 +45,11 @@ inline constexpr Slices ForceBatch::* FORCE_INPUTS[] = {
     &ForceBatch::barrier_weight, &ForceBatch::start};
 
 inline ForceBatch ForceBatch::part(std::ptrdiff_t from, std::ptrdiff_t to) const {
-  ForceBatch made = *this;
-  made.size = to - from;
+  ForceBatch part = *this;
+  part.size = to - from;
   for (const auto input : FORCE_INPUTS)
-    if (made.*input) (made.*input).data += (made.*input).step * from;
-  return made;
+    if (part.*input) (part.*input).data += (part.*input).step * from;
+  return part;
 }
 
 // The contacts of one problem of a batch: unit directions, scales and weights.
@@ -69,7 +66,7 @@ struct PosedProblem {
         lengths(count),
         start(3 * count) {}
 
-  // Load problem k. Return false if numbers are not finite or not possible.
+  // Load problem k. Return false if its numbers are impossible.
   bool take(const ForceBatch& batch, std::ptrdiff_t k) {
     const int count = batch.contacts;
     const auto within = [](const double* from, int many, double low, double high) {
@@ -90,10 +87,10 @@ struct PosedProblem {
         !within(batch.barrier_weight[k], count, LEAST, LARGEST))
       return false;
     for (int i = 0; i < count; ++i) {
-      const Point given = point(batch.normals[k] + 3 * i);
-      const double size = lengths[i] = length(given);
+      const Point inward = point(batch.normals[k] + 3 * i);
+      const double size = lengths[i] = length(inward);
       if (!(size > LEAST && size < LARGEST)) return false;
-      const Point normal = normalised((1.0 / size) * given);
+      const Point normal = normalised((1.0 / size) * inward);
       Point along =
           std::abs(normal.u) > TANGENT_SWITCH ? Point{0.0, 1.0, 0.0} : Point{1.0, 0.0, 0.0};
       if (batch.tangents) {
@@ -104,24 +101,24 @@ struct PosedProblem {
         if (!(length(along - dot(along, normal) * normal) > ALONG)) return false;
       }
       const double* mu = batch.friction[k] + 2 * i;
-      const Point made = cone_scale(mu[0], mu[1]);
+      const Point scales = cone_scale(mu[0], mu[1]);
       for (int a = 0; a < 3; ++a) {
         normals[3 * i + a] = normal[a];
         tangents[3 * i + a] = along[a];
-        scale[3 * i + a] = made[a];
+        scale[3 * i + a] = scales[a];
       }
       weights[2 * i] = batch.force_weight[k][i];
       weights[2 * i + 1] = batch.barrier_weight[k][i];
     }
     return true;
   }
-  // The contacts of the loaded problem.
   Contacts placed(const ForceBatch& batch, std::ptrdiff_t k) const {
-    Contacts made(batch.contacts, scale.data(), weights.data(), tangents.data(), batch.torsion[k]);
-    made.place(batch.positions[k], normals.data());
-    return made;
+    Contacts contacts(batch.contacts, scale.data(), weights.data(), tangents.data(),
+                      batch.torsion[k]);
+    contacts.place(batch.positions[k], normals.data());
+    return contacts;
   }
-  // Load the start, in contact frames. Return false if there is none or its numbers are not finite.
+  // Load the start. Return false if there is none or its numbers are not finite.
   bool take_start(const ForceBatch& batch, std::ptrdiff_t k) {
     if (!batch.start) return false;
     double total = 0.0;

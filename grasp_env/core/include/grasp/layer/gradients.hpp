@@ -1,26 +1,25 @@
-// Gradients of a loss with respect to all inputs of the problems, by the adjoint system of
-// `SmoothLanes`.
+// Gradients of a loss by all inputs of the problems, by the adjoint system of `SmoothLanes`.
 #pragma once
 #include <grasp/layer/stiff.hpp>
 
 namespace grasp {
 
 template <int W>
-void SmoothLanes<W>::gradients(Mask wanted, const double* by_force, const double* by_torsion,
+void SmoothLanes<W>::gradients(Mask chosen, const double* by_force, const double* by_torsion,
                                const double* by_multipliers, const BatchGradients& to) {
   const int n = count();
   const auto gather = [&](const double* from, int width, int at) {
-    V made{};
+    V values{};
     for (int lane = 0; from && lane < W; ++lane)
-      if (wanted[lane]) set(made, lane, from[width * number(lane) + at]);
-    return made;
+      if (chosen[lane]) set(values, lane, from[width * number(lane) + at]);
+    return values;
   };
   const auto gather3 = [&](const double* from, int width, int at) {
     return Vec{gather(from, width, at), gather(from, width, at + 1), gather(from, width, at + 2)};
   };
   const auto scatter = [&](double* out, int width, int at, const V& from) {
     for (int lane = 0; lane < W; ++lane)
-      if (wanted[lane]) out[width * number(lane) + at] = get(from, lane);
+      if (chosen[lane]) out[width * number(lane) + at] = get(from, lane);
   };
   const auto scatter3 = [&](double* out, int width, int at, const Vec& from) {
     for (int a = 0; a < 3; ++a) scatter(out, width, at + a, from[a]);
@@ -37,7 +36,7 @@ void SmoothLanes<W>::gradients(Mask wanted, const double* by_force, const double
   Six<V> by_nu;
   for (int r = 0; r < 6; ++r) by_nu[r] = -gather(by_multipliers, 6, r);
   const Six<V> hu = cones_.unit.of(by_nu);
-  const Mask hard = wanted & stiff();
+  const Mask hard = chosen & stiff();
   Mask solved{};
   Six<V> hard_q{};
   for (int lane = 0; lane < W; ++lane)
@@ -56,12 +55,12 @@ void SmoothLanes<W>::gradients(Mask wanted, const double* by_force, const double
       step_v_[i] = select(hard, rest_v_[i], step_v_[i]);
     }
     qu = select(hard, hard_q, qu);
-    wanted &= ~hard | solved;
+    chosen &= ~hard | solved;
   }
   V total = size(qu);
   for (int i = 0; i < n; ++i)
     total += abs(step_[i].u) + abs(step_[i].o) + abs(step_[i].t) + abs(step_v_[i]);
-  wanted &= total < LARGEST * LARGEST;  // no gradient if digits are lost
+  chosen &= total < LARGEST * LARGEST;  // no gradient if digits are lost
   // multipliers as twists about the contacts' centre
   const V per_length = cones_.unit.scale();
   const Vec y_turn = per_length * Vec{y_[3], y_[4], y_[5]};
@@ -81,8 +80,8 @@ void SmoothLanes<W>::gradients(Mask wanted, const double* by_force, const double
 
   // torque limits: T_j = price (torque of p), which depends on bias, limit, length, weight and edge
   struct OfRow {
-    V by_force, by_p, by_size;
-  };  // derivatives by J . F, by J . P, by the row's length
+    V by_force, by_p, by_size;  // derivatives by J . F, by J . P, by the row's length
+  };
   std::vector<OfRow> of(joints_);
   std::vector<V> lambda_share(joints_);
   std::vector<V> omega_share(joints_);
@@ -151,12 +150,12 @@ void SmoothLanes<W>::gradients(Mask wanted, const double* by_force, const double
       by_omega += col.touched * omega_share[j];
       if (to.jacobian) {
         const int width = n * batch_.jacobian_rows * batch_.joints;
-        const Vec made = of[j].by_force * force + of[j].by_p * other + part.u * c.frame[0] +
-                         part.o * c.frame[1] + part.t * c.frame[2];
+        const Vec moved = of[j].by_force * force + of[j].by_p * other + part.u * c.frame[0] +
+                          part.o * c.frame[1] + part.t * c.frame[2];
         const Vec turned = (of[j].by_force * turn + of[j].by_p * other_turn + part_v) * c.frame[0];
         for (int r = 0; r < batch_.jacobian_rows; ++r)
           scatter(to.jacobian, width, (i * batch_.jacobian_rows + r) * batch_.joints + j,
-                  r < 3 ? made[r] : turned[r - 3]);
+                  r < 3 ? moved[r] : turned[r - 3]);
       }
     }
     if (to.positions)
@@ -201,7 +200,7 @@ void SmoothLanes<W>::gradients(Mask wanted, const double* by_force, const double
     if (to.torsion)
       for (int lane = 0; lane < W; ++lane) {
         const double per = get(c.divisor_v, lane);
-        if (wanted[lane])
+        if (chosen[lane])
           to.torsion[n * number(lane) + i] =
               per < infinity ? -get(by_divisor_v, lane) * per * per / get(block.scale.u, lane)
                              : 0.0;
@@ -209,7 +208,7 @@ void SmoothLanes<W>::gradients(Mask wanted, const double* by_force, const double
     by_divisor.u += select(c.lambda_v > 0.0, by_divisor_v * c.divisor_v, V(0.0)) / block.scale.u;
     if (to.friction)
       for (int lane = 0; lane < W; ++lane) {
-        if (!wanted[lane]) continue;
+        if (!chosen[lane]) continue;
         const double* mu = batch_.friction[number(lane)] + 2 * i;
         double* out = to.friction + 2 * (n * number(lane) + i);
         const bool grips = mu[0] > 0.0 && mu[1] > 0.0;
@@ -229,12 +228,12 @@ void SmoothLanes<W>::gradients(Mask wanted, const double* by_force, const double
     if (to.normals || to.tangents) {
       const Vec turned = by_n - dot(by_n, c.frame[0]) * c.frame[0];
       const Vec leant = by_flat - dot(by_flat, c.frame[0]) * c.frame[0];
-      const auto per_size = [&](const Slices& from, const Vec& made, double* out) {
+      const auto per_size = [&](const Slices& from, const Vec& direction, double* out) {
         for (int lane = 0; lane < W; ++lane) {
-          if (!wanted[lane]) continue;
+          if (!chosen[lane]) continue;
           const double size = length(point(from[number(lane)] + 3 * i));
           for (int a = 0; a < 3; ++a)
-            out[3 * (n * number(lane) + i) + a] = get(made[a], lane) / size;
+            out[3 * (n * number(lane) + i) + a] = get(direction[a], lane) / size;
         }
       };
       if (to.normals) per_size(batch_.normals, turned, to.normals);

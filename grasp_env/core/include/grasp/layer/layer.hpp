@@ -1,5 +1,5 @@
-// Optimal forces of many independent problems, and their gradients, for layers of learning
-// programs. An answer has the same bits whatever problems stand beside it.
+// Optimal forces of many problems, and their gradients, for layers of learning programs. The bits
+// of an answer do not depend on the problems beside it.
 #pragma once
 #include <grasp/layer/gradients.hpp>
 #include <grasp/layer/optima.hpp>
@@ -12,8 +12,8 @@ struct BatchForces {
   double* force;        // (N, 3) [N], the frame of the positions
   double* torsion;      // (N,) [N m]
   double* multipliers;  // (6,) nu
-  double* facts;  // (4,) `Code`, relative certified gap (inf: none), balance residual [N] in the
-                  // unit frame, iterations
+  // (4,) `Code`, relative certified gap (inf: none), balance residual [N], unit frame; iterations
+  double* facts;
   double* state;  // (4N + 7,) for the gradients
 };
 constexpr int layer_state_size(int contacts) { return 4 * contacts + 7; }
@@ -23,7 +23,7 @@ class LayerSolver {
  public:
   LayerSolver(const ForceBatch& batch, const StopRule& options)
       : batch_(batch), options_(options), smooth_(batch) {
-    for (PosedProblem& each : posed_) each = PosedProblem(batch.contacts);
+    for (PosedProblem& problem : posed_) problem = PosedProblem(batch.contacts);
   }
   void solve(const BatchForces& to) {
     for (std::ptrdiff_t from = 0; from < batch_.size; from += W)
@@ -52,8 +52,8 @@ class LayerSolver {
 
   int count() const { return batch_.contacts; }
 
-  // Solve problems `from` on, side by side. `ForceOptimizer` solves the problems that need more
-  // than an ordinary descent; the lanes then refine its force, or an elastic one.
+  // Solve problems `from` on, side by side. `ForceOptimizer` solves those that need more than an
+  // ordinary descent; the lanes then refine its force, or an elastic one.
   void solve(std::ptrdiff_t from, int many, const BatchForces& to) {
     LaneAnswer answers[W];
     Mask sound{};
@@ -100,8 +100,8 @@ class LayerSolver {
     for (int lane = 0; lane < many; ++lane)
       if (sound[lane]) write(lane, from + lane, answers[lane], to);
   }
-  // Solve by `ForceOptimizer`; the lane continues from its answer. full_rank: true if the rank of G
-  // is 6 beyond doubt.
+  // The lane continues from the answer of `ForceOptimizer`. full_rank: the rank of G is 6 beyond
+  // doubt.
   LaneAnswer solve_with_optimizer(std::ptrdiff_t k, int lane, bool full_rank) {
     const PosedProblem& posed = posed_[lane];
     LaneAnswer answer{.code = solve_alone(k, posed_[lane])};
@@ -154,8 +154,7 @@ class LayerSolver {
     facts[2] = facts[3] = 0.0;
   }
 
-  // Solve by `ForceOptimizer` into row_: the optimum or, if no force keeps the limits, the optimum
-  // without them and LIMITS_EXCEEDED.
+  // Solve by `ForceOptimizer` into row_: the optimum or, with LIMITS_EXCEEDED, that without limits.
   Code solve_alone(std::ptrdiff_t k, PosedProblem& posed) {
     Code code = prepare(within_, k, posed, batch_.limited());
     if (code == CONVERGED) code = solve_with(*within_.solver, k, posed, batch_.limited());
@@ -164,8 +163,8 @@ class LayerSolver {
     if (free == CONVERGED) free = solve_with(*free_.solver, k, posed, false);
     return Record::has_force(free) ? LIMITS_EXCEEDED : free;
   }
-  // Make the optimiser of a problem, unless the data that a call cannot change is the same as
-  // before. Return CONVERGED if there is one.
+  // Make the optimiser of a problem, unless that of the last one serves. Return CONVERGED if there
+  // is one.
   Code prepare(CachedSolver& cached, std::ptrdiff_t k, const PosedProblem& posed, bool limited) {
     row_.clear();
     std::vector<double> constants = this->constants(k, posed);
@@ -194,12 +193,12 @@ class LayerSolver {
       now.jacobian = jacobian(k);
       now.torque_bias = slice(batch_.torque_bias, k, batch_.joints);
     }
-    Request ask{.wrench = batch_.wrench[k], .now = now};
+    Request request{.wrench = batch_.wrench[k], .now = now};
     if (posed.take_start(batch_, k)) {
-      ask.start = Start::previous;
-      ask.force = posed.start;
+      request.start = Start::previous;
+      request.force = posed.start;
     }
-    return solver.solve(ask, row_.data());
+    return solver.solve(request, row_.data());
   }
   static Doubles slice(const Slices& from, std::ptrdiff_t k, int size) {
     return from ? Doubles(from[k], size) : Doubles{};
@@ -207,7 +206,7 @@ class LayerSolver {
   Doubles jacobian(std::ptrdiff_t k) const {
     return slice(batch_.jacobian, k, count() * batch_.jacobian_rows * batch_.joints);
   }
-  // The data of an optimiser that a call cannot change.
+  // The data that a call cannot change.
   std::vector<double> constants(std::ptrdiff_t k, const PosedProblem& posed) const {
     std::vector<double> out(posed.weights);
     const auto add = [&](const double* from, int size) {
@@ -228,9 +227,9 @@ inline void optimal_forces(const ForceBatch& batch, const StopRule& options,
   LayerSolver(batch, options).solve(to);
 }
 
-// Compute gradients of a loss with respect to all inputs from its derivatives with respect to force
-// (N, 3), torsion (N,) and multipliers (6,) (null: zero), one row per problem. elastic: also for
-// problems without an optimum. Rows of other problems are zero.
+// Gradients of a loss by all inputs from its derivatives by force (N, 3), torsion (N,) and
+// multipliers (6,) (null: zero), one row per problem. elastic: also for problems without an
+// optimum. Other rows are zero.
 inline void optimal_forces_gradients(const ForceBatch& batch, const double* state,
                                      const double* by_force, const double* by_torsion,
                                      const double* by_multipliers, bool elastic,
@@ -239,20 +238,20 @@ inline void optimal_forces_gradients(const ForceBatch& batch, const double* stat
   const int size = layer_state_size(batch.contacts);
   SmoothLanes<W> smooth(batch);
   PosedProblem posed[W];
-  for (PosedProblem& each : posed) each = PosedProblem(batch.contacts);
+  for (PosedProblem& problem : posed) problem = PosedProblem(batch.contacts);
   std::ptrdiff_t waiting[W];
   int filled = 0;
   const auto finish = [&] {
-    typename SmoothLanes<W>::Mask wanted{};
+    typename SmoothLanes<W>::Mask chosen{};
     for (int lane = 0; lane < W; ++lane) {
       const std::ptrdiff_t k = waiting[lane < filled ? lane : 0];
       posed[lane].take(batch, k);
       smooth.load(lane, k, posed[lane], Regime(int(state[size * k + size - 1])));
       smooth.restore(lane, state + size * k);
-      if (lane < filled) wanted[lane] = -1;
+      if (lane < filled) chosen[lane] = -1;
     }
     smooth.place();
-    smooth.gradients(wanted, by_force, by_torsion, by_multipliers, to);
+    smooth.gradients(chosen, by_force, by_torsion, by_multipliers, to);
     filled = 0;
   };
   for (std::ptrdiff_t k = 0; k < batch.size; ++k) {

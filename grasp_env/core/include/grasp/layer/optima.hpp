@@ -4,15 +4,14 @@
 
 namespace grasp {
 
-// Start with a large edge, below which the barriers of limits are parabolas. Lower it until all
-// slacks are above it.
+// The barriers of limits are parabolas below the edge, which is lowered until all slacks are above.
 template <int W> auto SmoothLanes<W>::descend(Mask live, int most) -> Mask {
   edge_ = select(live, V(LARGEST_EDGE), edge_);
   place_edges();
   V value = energy();
   iterations = select(live, V(0.0), iterations);
   live &= value < infinity;
-  Mask found{};
+  Mask converged{};
   for (int round = 0; round < most && any(live); ++round) {
     const Six<V> next = newton_step(value);
     for (int r = 0; r < 6; ++r) y_[r] = select(live, next[r], y_[r]);
@@ -22,7 +21,7 @@ template <int W> auto SmoothLanes<W>::descend(Mask live, int most) -> Mask {
     Mask harder = live & ~whole & !(decrement > CLOSE * value);
     const Mask lost = harder & (last_ == 0.0) & (edge_ < LEAST_EDGE);
     const Mask done = live & whole & !(decrement > SETTLED * value);
-    found |= done;
+    converged |= done;
     live &= ~(done | lost);
     harder &= ~lost;
     V alpha = min(V(1.0), LONG / reach);
@@ -35,7 +34,7 @@ template <int W> auto SmoothLanes<W>::descend(Mask live, int most) -> Mask {
       value = select(good, after, value);
       open &= ~good;
     }
-    found |= open & whole;
+    converged |= open & whole;
     live &= ~(open & whole);
     harder |= open & ~whole;  // only rounding is left
     for (int i = 0; i < count(); ++i) {
@@ -50,7 +49,7 @@ template <int W> auto SmoothLanes<W>::descend(Mask live, int most) -> Mask {
   }
   edge_ = last_;
   place_edges();
-  return found;
+  return converged;
 }
 
 template <int W> void SmoothLanes<W>::polish(const Mask& which) {
@@ -59,17 +58,17 @@ template <int W> void SmoothLanes<W>::polish(const Mask& which) {
   residual = select(which, left(y_), residual);
   Mask open = which & ~(last_ > 0.0) & ~rank_lost();
   for (int round = 0; round < WHOLE_STEPS && any(open); ++round) {
-    Six<V> found = newton_step(value);
+    Six<V> next = newton_step(value);
     for (int i = 0; i < count(); ++i) {
       pull_[i] = Vec{};
       pull_v_[i] = V{};
     }
     // remove the rounding left in the balance, in the same metric
-    Six<V> rest = softness_ * found - missed();
+    Six<V> rest = softness_ * next - missed();
     for (int i = 0; i < count(); ++i)
       for (int r = 0; r < 6; ++r)
         rest[r] -= dot(cones_.blocks[i].g[r], step_[i]) + at_[i].gv[r] * step_v_[i];
-    found = found + solve_once(pull_, pull_v_, rest, back_, back_v_);
+    next = next + solve_once(pull_, pull_v_, rest, back_, back_v_);
     for (int i = 0; i < count(); ++i) {
       step_[i] += back_[i];
       step_v_[i] += back_v_[i];
@@ -81,14 +80,14 @@ template <int W> void SmoothLanes<W>::polish(const Mask& which) {
       x_[i] += step_[i];
       v_[i] += step_v_[i];
     }
-    const V missing = left(found);
+    const V missing = left(next);
     open &= (after <= value + RAISED * value) &
             (missing <= max(residual, ROUNDED * (cones_.largest_normal(x_) + size(w_))));
     for (int i = 0; i < count(); ++i) {
       x_[i] = select(open, x_[i], back_[i]);
       v_[i] = select(open, v_[i], back_v_[i]);
     }
-    y_ = select(open, found, y_);
+    y_ = select(open, next, y_);
     value = select(open, after, value);
     residual = select(open, missing, residual);
   }
@@ -108,13 +107,12 @@ template <int W> auto SmoothLanes<W>::gap() const -> V {
   std::fill(along_.begin(), along_.end(), V{});
   for (int i = 0; i < count(); ++i)
     for (int j = 0; j < joints_; ++j) along_[j] += along(i, j, x_[i], v_[i]);
-  const auto conjugate =
-      [&](const Limit& side,
-          const V& slack) {  // minimum of weight / s + price s over s, less price * bound
-        const V price = side.weight / (slack * slack);
-        bound += 2.0 * side.weight / slack - price * side.bound;
-        return price;
-      };
+  // minimum of weight / s + price s over s, less price * bound
+  const auto conjugate = [&](const Limit& side, const V& slack) {
+    const V price = side.weight / (slack * slack);
+    bound += 2.0 * side.weight / slack - price * side.bound;
+    return price;
+  };
   for (int j = 0; j < joints_; ++j)
     multipliers[j] = conjugate(rows_[j].high, rows_[j].high.bound - along_[j]) -
                      conjugate(rows_[j].low, rows_[j].low.bound + along_[j]);
@@ -148,8 +146,8 @@ void SmoothLanes<W>::write(int lane, double* force, double* torsion, double* mul
   const Six<V> y = cones_.unit.pull_back(y_);
   for (int r = 0; r < 6; ++r) multipliers[r] = -get(y[r], lane);
   for (int i = 0; i < count(); ++i) {
-    const Vec made = object_force(i, x_[i]);
-    for (int a = 0; a < 3; ++a) force[3 * i + a] = get(made[a], lane);
+    const Vec world = object_force(i, x_[i]);
+    for (int a = 0; a < 3; ++a) force[3 * i + a] = get(world[a], lane);
     torsion[i] = get(v_[i] / at_[i].divisor_v, lane);
   }
 }

@@ -1,14 +1,14 @@
 // The optimum of Phi as a smooth function of all inputs, W problems side by side: Newton's system
 // with torsion and limits, the last step of a solve, the elastic force if no force exists, and
-// gradients by the adjoint system. The file is the class alone; system.hpp, stiff.hpp, optima.hpp
-// and gradients.hpp hold its longer functions.
+// gradients by the adjoint system. system.hpp, stiff.hpp, optima.hpp and gradients.hpp hold the
+// longer functions.
 //
 // Variables of a contact are z = (u, o, t, v) in cone coordinates, with v the torsion of a soft
 // contact in units of its limit. The optimum satisfies
 //     grad E(z) + A^T y = 0,    A z + w - softness y = 0,
 // with E = Phi plus the barriers of torsion and limits, A the map from z to the wrench in the unit
-// frame, and softness 0 unless balance is a penalty. For a loss with derivatives g with respect to
-// z and h with respect to y, the adjoint system
+// frame, and softness 0 unless balance is a penalty. For a loss with derivatives g by z and h by y,
+// the adjoint system
 //     H p + A^T q = g,    A p - softness q = h
 // has the matrix of Newton's step, and d loss / d theta = -(p . d_theta (grad E + A^T y) + q .
 // d_theta (A z + w - softness y)).
@@ -21,8 +21,8 @@
 namespace grasp {
 
 // The problem whose optimum a force is: the problem itself; with limits that may be exceeded; with
-// balance that may be missed as well; the problem itself, with contacts that cannot balance
-// wrenches of every direction.
+// balance that may be missed as well; the problem itself, with contacts that cannot balance all
+// wrenches.
 enum class Regime { none, optimum, exceeding, unbalanced, within_reach };
 inline bool is_optimum(Regime regime) {
   return regime == Regime::optimum || regime == Regime::within_reach;
@@ -38,9 +38,8 @@ template <int W> class SmoothLanes {
   using V = Each<W>;
   using Mask = typename V::Mask;
   using Vec = Vec3<V>;
-  V residual{},
-      iterations{};  // balance residual of the last `polish` [N]; iterations of the last descent
-  Mask converged{};  // of the stiff lanes of the last `polish`
+  V residual{}, iterations{};  // balance residual of the last `polish` [N]; of the last descent
+  Mask converged{};            // of the stiff lanes of the last `polish`
 
   explicit SmoothLanes(const ForceBatch& batch)
       : x_(batch.contacts),
@@ -63,17 +62,16 @@ template <int W> class SmoothLanes {
         rest_v_(batch.contacts),
         along_(joints_) {}
 
-  // Load problem k into a lane, before `place`, which still reads `posed`.
+  // Load problem k into a lane; `place` still reads `posed`.
   void load(int lane, std::ptrdiff_t k, const PosedProblem& posed, Regime regime);
-  // Choose the optimum that a lane stands for. posed: its contacts, as loaded.
+  // Choose the optimum of a lane. posed: its contacts, as loaded.
   void choose(int lane, Regime regime, const PosedProblem& posed) {
     set(softness_, lane, regime == Regime::unbalanced ? ELASTIC_SOFTNESS : 0.0);
     set(last_, lane, is_optimum(regime) ? 0.0 : ELASTIC_EDGE);
     reach_[lane] =
         regime == Regime::within_reach ? posed.placed(batch_, number(lane)).reach : WrenchSpace{};
   }
-  // Compute frames, columns and rows of the loaded problems. Return a mask of those
-  // without degenerate contacts.
+  // Compute frames, columns and rows. Return a mask of the problems without degenerate contacts.
   Mask place() {
     const Mask good = placed_.place(problems_, cones_);
     w_ = cones_.unit.of(wrench_);
@@ -96,24 +94,24 @@ template <int W> class SmoothLanes {
 
   // Start from an internal force. Return the problems that have one.
   Mask begin() {
-    const Mask found = placed_.internal_force(cones_, rest_);
+    const Mask closes = placed_.internal_force(cones_, rest_);
     const V scale = best_scale(cones_, rest_);
-    for (auto& each : rest_) each = scale * each;
+    for (auto& x : rest_) x = scale * x;
     grasp::begin(cones_, rest_, w_, x_);
     std::fill(v_.begin(), v_.end(), V{});
-    return found & (cones_.phi(x_) < infinity);
+    return closes & (cones_.phi(x_) < infinity);
   }
-  // Replace the start by forces (N, 3) [N] in contact frames if they, once balanced, have less Phi;
-  // null: no force.
+  // Replace the start by forces (N, 3) [N] in contact frames (null: none) if they, once balanced,
+  // have less Phi.
   void take_starts(const double* const (&starts)[W]) {
-    if (std::none_of(starts, starts + W, [](const double* each) { return each; })) return;
+    if (std::none_of(starts, starts + W, [](const double* start) { return start; })) return;
     rest_ = x_;
     for (int lane = 0; lane < W; ++lane)
       if (starts[lane]) cones_.load_force(starts[lane], rest_, lane);
     cones_.balance(rest_, w_);
     copy_where(cones_.phi(rest_) < cones_.phi(x_), rest_, x_);
   }
-  // Start from a force (N, 3) [N] in contact frames with its torsion (N,) [N m] and the multipliers
+  // Start from a force (N, 3) [N] in contact frames with its torsion (N,) [N m] and multipliers
   // (6,) nu of the given wrench.
   void begin(int lane, const double* force, const double* torsion, const Vec6& nu) {
     for (int i = 0; i < count(); ++i) {
@@ -132,7 +130,6 @@ template <int W> class SmoothLanes {
       set(y_[3 + a], lane, -turn[a] * get(unit.length, lane));
     }
   }
-  // Start along the axes of the cones.
   void begin(int lane) {
     for (int i = 0; i < count(); ++i) {
       set(x_[i].u, lane, get(at_[i].unit, lane));
@@ -140,7 +137,7 @@ template <int W> class SmoothLanes {
       set(x_[i].t, lane, 0.0);
       set(v_[i], lane, 0.0);
     }
-    for (V& each : y_) set(each, lane, 0.0);
+    for (V& y : y_) set(y, lane, 0.0);
   }
   // The state of a problem: z (N, 4) and the multipliers in the unit frame.
   void save(int lane, double* state) const {
@@ -160,30 +157,27 @@ template <int W> class SmoothLanes {
 
   // --- optima
 
-  // Damped Newton for the live ordinary lanes, from any force inside the cones, in at most `most`
-  // steps. Return the lanes that are then close to their optimum.
+  // Damped Newton for the live ordinary lanes, in at most `most` steps. Return the lanes close to
+  // their optimum.
   Mask descend(Mask live, int most);
-  // Take full Newton steps close to an optimum to reach its last digits, as long as they do not
-  // raise E. Solve elastic lanes, and finish those that are stiff.
+  // Take full Newton steps to the last digits of an optimum, as long as they do not raise E. Solve
+  // elastic lanes, and finish those that are stiff.
   void polish(const Mask& which);
-  // (E - bound) / bound, where bound is the dual value at the multipliers of balance and
-  // limits: no balanced force has less. inf: no bound.
+  // (E - bound) / bound, where bound is the dual value at the multipliers. inf: no bound.
   V gap() const;
-  // True if the last `polish` left a lane balanced.
   Mask balanced() const { return cones_.balanced(x_, w_, residual); }
 
   // Write forces (N, 3) [N] in the frame of the positions, torsion (N,) [N m], and multipliers (6,)
-  // nu = -y of the given wrench.
+  // nu = -y.
   void write(int lane, double* force, double* torsion, double* multipliers) const;
 
-  // Gradients of a loss at the restored and placed problems. wanted: problems whose rows are
-  // written.
-  void gradients(Mask wanted, const double* by_force, const double* by_torsion,
+  // Gradients of a loss at the restored and placed problems, for those that are chosen.
+  void gradients(Mask chosen, const double* by_force, const double* by_torsion,
                  const double* by_multipliers, const BatchGradients& to);
 
  private:
-  // One limit a . z <= bound, with the barrier weight / slack of its normalised slack and its
-  // quadratic extension below `edge`. weight 0: no limit.
+  // One limit a . z <= bound, with the barrier weight / slack of its normalised slack, quadratic
+  // below `edge`. weight 0: no limit.
   struct Limit {
     V bound, weight, price, bend;
 
@@ -213,8 +207,8 @@ template <int W> class SmoothLanes {
     }
   };
   struct Contact {
-    Vec along, frame[3],
-        arm;  // given direction of o; (n, o, t); position relative to the contacts' centre [m]
+    // direction of o; (n, o, t); position relative to the contacts' centre [m]
+    Vec along, frame[3], arm;
     V gv[6], divisor_v, lambda_v;  // torsion: its column, v / torsion (inf: hard), lambda (0: hard)
     Limit low, high;               // limits of u
     V unit, edge;  // sqrt(lambda / omega); slack below which the barrier is quadratic
@@ -238,26 +232,25 @@ template <int W> class SmoothLanes {
   };
   // fraction of E: largest value of a step's balance residual
   static constexpr double ROUNDED = 1e-13;
-  // fraction of E: largest rise by a full step that restores balance
+  // fraction of E: largest rise by a full step
   static constexpr double RAISED = 1e-11;
-  static constexpr double LARGEST_EDGE = 8.0,
-                          EDGE_FACTOR = 1.0 / 16.0;  // first edge of a descent, and its factor
-  static constexpr double ELASTIC_FACTOR = 0.5;      // that of an elastic one
-  // below it the problem is nearly infeasible and left to another solver
+  // first edge of a descent, and its factor
+  static constexpr double LARGEST_EDGE = 8.0, EDGE_FACTOR = 1.0 / 16.0;
+  static constexpr double ELASTIC_FACTOR = 0.5;  // that of an elastic one
+  // below it the problem is nearly infeasible, for another solver
   static constexpr double LEAST_EDGE = 1e-6;
   // squared decrement, as a fraction of E, below which the edge is lowered
   static constexpr double CLOSE = 0.03;
   static constexpr double SETTLED = 1e-9;  // the same, below which `polish` takes over
-  // fraction of an adjoint force and of its right-hand side: allowed residual
+  // allowed residual, as a fraction of an adjoint force and of its right-hand side
   static constexpr double MISSES = 1e-13;
   static constexpr double LONG = 0.95;  // fraction of the way to the boundary
   static constexpr int HALVINGS = 40, REFINEMENTS = 2, WHOLE_STEPS = 2;
-  static constexpr double
-      TIGHT = 0.1,
-      DEAR = 100.0;  // slack over sqrt(lambda / omega), |y| over omega: further are stiff
-  // relative steps of forces and of their distances from the cones: that of a force with all
-  // digits; the largest of a converged one; below which whole steps are taken, and one that is not
-  // a quarter of the one before is rounding; that which ends a stage
+  // slack over sqrt(lambda / omega), |y| over omega: further are stiff
+  static constexpr double TIGHT = 0.1, DEAR = 100.0;
+  // relative steps of forces and of their distances from the cones: of a force with all digits; the
+  // largest of a converged one; below which steps are whole, and one not a quarter of the one
+  // before is rounding; that which ends a stage
   static constexpr double LEAST = 1e-13, ROUGH = 1e-6, SHORT = 1e-4, STAGE = 0.25;
   static constexpr double NOISE = 1e-14;  // rounding of E, relative
   static constexpr int STIFF_STEPS = 300;
@@ -282,11 +275,10 @@ template <int W> class SmoothLanes {
   PivotedQr stiff_;
   std::vector<double> axes_, nearest_, multipliers_;
   Six<V> wrench_{}, w_{};
-  V softness_{}, last_{}, edge_{},
-      tightest_{};  // edges: in units of the limits; tightest_: smallest slack at the last system
+  // edges in units of the limits; smallest slack at the last system
+  V softness_{}, last_{}, edge_{}, tightest_{};
   LaneProblem problems_[W] = {};
-  WrenchSpace reach_[W];  // the wrenches that contacts can make; all of them, except for
-                          // `Regime::within_reach`
+  WrenchSpace reach_[W];  // the wrenches that contacts make: all, except for `Regime::within_reach`
 
   int count() const { return batch_.contacts; }
   std::ptrdiff_t number(int lane) const { return problems_[lane].number; }
@@ -306,16 +298,15 @@ template <int W> class SmoothLanes {
     return (z.u / divisor.u) * c.frame[0] + (z.o / divisor.o) * c.frame[1] +
            (z.t / divisor.t) * c.frame[2];
   }
-  // Motion (3,) of contact i per speed of joint j in every lane, from row `from` of the Jacobian
-  // on.
+  // Motion (3,) of contact i per speed of joint j, from row `from` of the Jacobian on.
   Vec motion(int i, int j, int from) const {
-    Vec made{};
+    Vec moves{};
     for (int lane = 0; lane < W; ++lane)
       for (int a = 0; a < 3; ++a)
-        set(made[a], lane,
+        set(moves[a], lane,
             batch_
                 .jacobian[number(lane)][(i * batch_.jacobian_rows + from + a) * batch_.joints + j]);
-    return made;
+    return moves;
   }
 
   void place_row(int j);
@@ -325,7 +316,7 @@ template <int W> class SmoothLanes {
   }
 
   // E with the penalty of missed balance; +inf unless strictly inside. at(i, v): (u, o, t) of
-  // contact i, and v.
+  // contact i, and its v.
   template <class F> V energy_at(F&& at) const {
     V total{}, room = infinity;
     Six<V> missed = w_;
@@ -370,23 +361,22 @@ template <int W> class SmoothLanes {
     });
   }
   Six<V> missed() const {  // A z + w
-    Six<V> made = w_;
+    Six<V> wrench = w_;
     for (int i = 0; i < count(); ++i)
       for (int r = 0; r < 6; ++r)
-        made[r] += dot(cones_.blocks[i].g[r], x_[i]) + at_[i].gv[r] * v_[i];
-    return made;
+        wrench[r] += dot(cones_.blocks[i].g[r], x_[i]) + at_[i].gv[r] * v_[i];
+    return wrench;
   }
 
   void assemble();
   void bind();
   void bind(int i);
   Mask rank_lost() const {
-    Mask made{};
-    for (int lane = 0; lane < W; ++lane) made[lane] = reach_[lane].full() ? 0 : -1;
-    return made;
+    Mask lost{};
+    for (int lane = 0; lane < W; ++lane) lost[lane] = reach_[lane].full() ? 0 : -1;
+    return lost;
   }
-  // stiff.hpp: lanes whose multipliers are so high that `solve` loses digits; its version for
-  // one lane; Newton's method with it
+  // stiff.hpp: lanes where `solve` loses digits; its version for one lane; Newton's method with it
   Mask stiff() const;
   bool solve_stiff(int lane, const Six<V>& h, Six<V>& q);
   void axes_of(int lane, int i, double* axes) const;
@@ -419,9 +409,9 @@ template <int W> class SmoothLanes {
     }
   }
 
-  // Solve H p + A^T q = g, A p - softness q = h, with H of all terms; g is overwritten. The
-  // barriers of limits may be far stiffer than the rest, so the system loses digits: the residual
-  // of p in h is removed by the same system. allowed(q): largest residual of h.
+  // Solve H p + A^T q = g, A p - softness q = h, with H of all terms; g is overwritten. Stiff
+  // barriers cost digits, so the system also removes the residual of p in h. allowed(q): largest
+  // residual of h.
   template <class F> Six<V> solve(typename Cones<V, 0>::Field& g, std::vector<V>& gv,
                                   const Six<V>& h, typename Cones<V, 0>::Field& p,
                                   std::vector<V>& pv, F&& allowed) {
@@ -471,7 +461,7 @@ template <int W> class SmoothLanes {
     for (int r = 0; r < 6; ++r) q[r] = both_[r];
     return q;
   }
-  // Newton step into step_ and step_v_, where E is `value`. Return the new multipliers.
+  // Newton step into step_ and step_v_. Return the new multipliers.
   Six<V> newton_step(const V& value) {
     assemble();
     for (int i = 0; i < count(); ++i) {
@@ -479,30 +469,30 @@ template <int W> class SmoothLanes {
       pull_v_[i] = -at_[i].gradient_v;
     }
     Six<V> left = missed();
-    for (V& each : left) each = -each;
+    for (V& value : left) value = -value;
     return solve(pull_, pull_v_, left, step_, step_v_,
                  [&](const Six<V>& y) { return ROUNDED * value / size(y); });
   }
   // Squared decrement of the step, and 1 / (largest step inside the cones).
-  struct Judged {
+  struct Progress {
     V decrement, reach;
   };
-  Judged judged_step() const {
-    Judged made{V{}, V(1e-300)};
+  Progress judged_step() const {
+    Progress step{V{}, V(1e-300)};
     const Six<V> pull = (1.0 / select(softness_ > 0.0, softness_, V(infinity))) * missed();
     for (int i = 0; i < count(); ++i) {
       const Contact& c = at_[i];
       const Vec push = c.gradient + Block<V>::combined(cones_.blocks[i].g, pull);
       V push_v = c.gradient_v;
       for (int r = 0; r < 6; ++r) push_v += c.gv[r] * pull[r];
-      made.decrement -= dot(push, step_[i]) + push_v * step_v_[i];
-      made.reach = max(made.reach, Boundary<V>(x_[i]).per(step_[i]));
+      step.decrement -= dot(push, step_[i]) + push_v * step_v_[i];
+      step.reach = max(step.reach, Boundary<V>(x_[i]).per(step_[i]));
       if (!batch_.torsion) continue;
       const V turned = max((step_v_[i] - step_[i].u) / (x_[i].u - v_[i]),
                            -(step_v_[i] + step_[i].u) / (x_[i].u + v_[i]));
-      made.reach = max(made.reach, select(c.lambda_v > 0.0, turned, V(0.0)));
+      step.reach = max(step.reach, select(c.lambda_v > 0.0, turned, V(0.0)));
     }
-    return made;
+    return step;
   }
 };
 

@@ -1,22 +1,22 @@
-// The stiff part of `SmoothLanes`: problems whose multipliers are so high, because limits are
-// exceeded or almost, that the system of system.hpp loses its digits. One problem at a time.
+// The stiff part of `SmoothLanes`: problems whose multipliers are so high, with limits exceeded or
+// almost, that the system of system.hpp loses its digits. One problem at a time.
 #pragma once
 #include <grasp/layer/system.hpp>
 
 namespace grasp {
 
-// Elastic problems, those beside a limit or with multipliers of a size that only a small slack has,
-// and those whose contacts cannot balance wrenches of every direction.
+// Elastic problems, those beside a limit or with very high multipliers, and those whose contacts
+// cannot balance all wrenches.
 template <int W> auto SmoothLanes<W>::stiff() const -> Mask {
-  V price{}, tightest = infinity;
-  for (const V& each : y_) price = max(price, abs(each));
-  Mask made = last_ > 0.0;
+  V largest{}, tightest = infinity;
+  for (const V& y : y_) largest = max(largest, abs(y));
+  Mask stiff = last_ > 0.0;
   std::fill(along_.begin(), along_.end(), V{});
   for (int i = 0; i < count(); ++i) {
     const Contact& c = at_[i];
     const V& u = x_[i].u;
     const V per = c.unit;
-    made |= price > DEAR * cones_.blocks[i].weights.omega;
+    stiff |= largest > DEAR * cones_.blocks[i].weights.omega;
     if (batch_.min_normal || batch_.max_normal)
       tightest = min(tightest, min(c.high.bound - u, c.low.bound + u) / per);
     for (int j = 0; j < joints_; ++j) along_[j] += along(i, j, x_[i], v_[i]);
@@ -24,7 +24,7 @@ template <int W> auto SmoothLanes<W>::stiff() const -> Mask {
   for (int j = 0; j < joints_; ++j)
     tightest = min(tightest, min(rows_[j].high.bound - along_[j], rows_[j].low.bound + along_[j]) /
                                  rows_[j].unit);
-  return made | rank_lost() | (tightest < TIGHT);
+  return stiff | rank_lost() | (tightest < TIGHT);
 }
 
 // With the Hessian's inverse L L^T of each contact's cone, and M = [A; sqrt(bend) R] L of balance
@@ -32,9 +32,8 @@ template <int W> auto SmoothLanes<W>::stiff() const -> Mask {
 //     s + M^T m = L^T g,    M s - D m = (h, 0),    p = L s,    q = the first six of m,
 // with D the softness for balance and 1 for limits. (s, -sqrt(D) m) is the point nearest to (L^T g,
 // 0) in the plane [M, sqrt(D)] (s, .) = (h, 0). Orthogonal factors find it with errors of the
-// condition of M alone; the matrix M M^T + D has the square of it. If contacts cannot balance
-// wrenches of every direction, the rows of A are those along the axes of their reach. g: pull_ and
-// pull_v_; p: step_ and step_v_.
+// condition of M alone; M M^T + D has the square of it. If contacts cannot balance all wrenches,
+// the rows of A are those along the axes of their reach. g: pull_, pull_v_; p: step_, step_v_.
 template <int W> bool SmoothLanes<W>::solve_stiff(int lane, const Six<V>& h, Six<V>& q) {
   const bool normal = batch_.min_normal || batch_.max_normal;
   const double soft = get(softness_, lane);
@@ -44,7 +43,7 @@ template <int W> bool SmoothLanes<W>::solve_stiff(int lane, const Six<V>& h, Six
   const int columns = balance + joints_ + (normal ? n : 0);
   const int width = batch_.torsion ? 4 : 3;  // variables of a contact
   const int first = soft > 0.0 ? 0 : balance;
-  // the first column with a softness, and its row less its number
+  // row less number of the first column with a softness
   const int tail = width * n - first;
   stiff_.resize(tail + columns, columns);
   axes_.resize(16 * n);
@@ -107,18 +106,18 @@ template <int W> bool SmoothLanes<W>::solve_stiff(int lane, const Six<V>& h, Six
     }
   if (width == 3)
     for (int i = 0; i < n; ++i) set(step_v_[i], lane, 0.0);
-  Vec6 found{};
+  Vec6 solved{};
   for (int r = 0; r < balance; ++r) {
     if (reach.full())
-      found[r] = multipliers_[r];
+      solved[r] = multipliers_[r];
     else
-      found = found + multipliers_[r] * reach.axes[r];
+      solved = solved + multipliers_[r] * reach.axes[r];
   }
-  for (int r = 0; r < 6; ++r) set(q[r], lane, found[r]);
+  for (int r = 0; r < 6; ++r) set(q[r], lane, solved[r]);
   return true;
 }
 
-// L of contact i, (4, 4) row by row: inverse Hessian = L L^T without limits, from p = u - s and q =
+// L of contact i, (4, 4) row-major: inverse Hessian = L L^T without limits, from p = u - s and q =
 // u + s, s = |(o, t)|.
 template <int W> void SmoothLanes<W>::axes_of(int lane, int i, double* axes) const {
   const double u = get(x_[i].u, lane);
@@ -132,8 +131,7 @@ template <int W> void SmoothLanes<W>::axes_of(int lane, int i, double* axes) con
   const double q = u + s;
   const double eo = s > 1e-140 ? o / s : 1.0;
   const double et = s > 1e-140 ? t / s : 0.0;
-  double lever = 0.0, rest = 0.0,
-         gain = 0.0;  // torsion v = lever u + rest: the rest is a separate axis
+  double lever = 0.0, rest = 0.0, gain = 0.0;  // torsion v = lever u + rest, an axis of its own
   if (turning > 0.0) {
     const double m = u - v;
     const double f = u + v;
@@ -165,8 +163,7 @@ template <int W> void SmoothLanes<W>::axes_of(int lane, int i, double* axes) con
   axes[12 + 3] = rest;
 }
 
-// The step as a fraction of the largest force and, whether towards them or away, of the distances
-// from the cones' surfaces.
+// The step as a fraction of the largest force and of the distances from the cones, either way.
 template <int W> auto SmoothLanes<W>::relative_step() const -> V {
   V moved{};
   const V largest = cones_.largest_normal(x_);
@@ -183,10 +180,9 @@ template <int W> auto SmoothLanes<W>::relative_step() const -> V {
 }
 
 // Newton's method with the stiff system. For elastic forces, damped, while the penalties grow: each
-// stage starts close to its optimum, because a cone's surface is curved and a step along it is as
-// short as the distance from it. For others, whole steps to the last digits. Where E no longer
-// tells two points apart, the steps tell: each is much shorter than the one before. Return the
-// lanes that have converged.
+// stage starts close to its optimum, since steps along a curved cone are as short as the distance
+// from it. For others, whole steps to the last digits. Where E no longer tells two points apart,
+// the steps tell: each is much shorter than the one before. Return the lanes that have converged.
 template <int W> auto SmoothLanes<W>::finish(Mask open) -> Mask {
   const Mask elastic = open & (last_ > 0.0);
   const V soft = softness_;

@@ -1,5 +1,4 @@
-// The Newton system of `SmoothLanes`: loaded problems, rows of limits, and blocks of the inverse
-// Hessian.
+// The Newton system of `SmoothLanes`: problems, rows of limits, and blocks of the inverse Hessian.
 #pragma once
 #include <grasp/layer/smooth.hpp>
 
@@ -133,8 +132,8 @@ template <int W> void SmoothLanes<W>::assemble() {
   schur_.factor();
 }
 
-// Terms of one contact: v is eliminated first, dv = lever du + free (gradient along v), then each
-// row changes the block by rank one.
+// Terms of one contact: v is eliminated, dv = lever du + free (gradient along v), then each row
+// changes the block by rank one.
 template <int W> void SmoothLanes<W>::bind(int i) {
   Contact& c = at_[i];
   const auto& weights = cones_.blocks[i].weights;
