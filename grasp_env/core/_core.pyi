@@ -118,8 +118,7 @@ class ContactReader:
     def read(self, positions: object, normals: object, friction: object, tangents: object) -> Contacts | None:
         """
         Make hard contacts from float64 arrays: (N, 3), friction a float, (N,) or (N, 2), tangents (N, 3) or None.
-        Return None if one of them has another class, shape or layout or is out of range, or if the rank is not
-        6 beyond doubt.
+        Return None if one has another class, shape or layout or is out of range, or if the rank is not 6 beyond doubt.
         """
 
 class Contacts:
@@ -130,14 +129,14 @@ class Contacts:
     @staticmethod
     def make(positions: object, normals: object, scale: object, weights: object, tangents: object) -> Contacts:
         """
-        Make hard contacts: (N, 3) positions [m] and inward unit normals, (N, 3) scale of cone coordinates, (N, 2)
-        omega and lambda, (N, 3) tangents or (0, 3). Raises ValueError for numbers that cannot be used.
+        Make hard contacts: (N, 3) positions [m], inward unit normals and scale of cone coordinates, (N, 2) omega and
+        lambda, (N, 3) tangents or (0, 3). Raises ValueError for unusable numbers.
         """
 
     @staticmethod
     def put(positions: object, normals: object, scale: object, torsion: object, tangents: object) -> Contacts:
         """
-        The same with (N,) torsional friction [m], for any places: check `refused` and `clear`.
+        The same with (N,) torsional friction [m]; the caller checks `refused` and `clear`.
         """
 
     @overload
@@ -166,7 +165,7 @@ class Contacts:
 
     def within_reach(self, wrench: object, to: object) -> None:
         """
-        Write a wrench (6,) without its part that no forces of these contacts make into `to` (6,).
+        Write the part of a wrench (6,) that forces of these contacts can make into `to` (6,).
         """
 
     @property
@@ -215,8 +214,8 @@ class Problem:
 
     def __init__(self, contacts: Contacts, weights: object | None = None, limits: object | None = None) -> None:
         """
-        weights: omega and lambda of all contacts, or an array (N, 2); None: 1 and 0.01. limits: (min_normal, max_normal, jacobian, torque_limit,
-        torque_bias), each an array or None; None: no limits.
+        weights: omega and lambda of all contacts, or an array (N, 2); None: 1 and 0.01.
+        limits: (min_normal, max_normal, jacobian, torque_limit, torque_bias), each an array or None.
         """
 
 class Options:
@@ -224,8 +223,8 @@ class Options:
 
     def __init__(self, *, method: str = 'newton', largest: bool = False, start: int = 0, tolerance: float = 0.0, limit: int = 20000, elastic: bool = False, step_rule: object | None = None, model: Model | None = None, remembers: bool = True) -> None:
         """
-        largest: True for `Criterion::largest`; start: index into the names of `Start`; step_rule: (5,) kind, first, grow, shrink,
-        decrease.
+        largest: True for `Criterion::largest`; start: index into the names of `Start`;
+        step_rule: (5,) kind, first, grow, shrink, decrease.
         """
 
 class Request:
@@ -235,7 +234,8 @@ class Request:
 
     def __init__(self, *, start: int = 0, force: object | None = None, previous: object | None = None, optimum: float = float('nan'), trace: object | None = None) -> None:
         """
-        force: (N, 3) [N]; previous: a solution; optimum: a known minimum of Phi; trace: (T,) receives Phi of the first iterates.
+        force: (N, 3) [N]; previous: a solution; optimum: a known minimum of Phi;
+        trace: (T,) receives Phi of the first iterates.
         """
 
 ACCEPTED_GAP: float = 0.01
@@ -244,8 +244,8 @@ CLEAR: float = 1e-09
 
 def combine(basis: object, wrench: object, printed: bool, to: object) -> None:
     """
-    Combine a 12-basis with the optimum at rest (13, M) for a wrench, into (M,). printed: without the optimum at rest
-    (Eqs. 33, 34).
+    Combine a 12-basis with the optimum at rest (13, M) for a wrench, into (M,).
+    printed: without the optimum at rest (Eqs. 33, 34).
     """
 
 class ForceOptimizer:
@@ -256,9 +256,9 @@ class ForceOptimizer:
 
     def solve(self, wrench: object | None, changes: object | None = None, request: Request | None = None) -> object:
         """
-        Return a solution, whose code says whether it holds a force; NotImplemented if wrench or changes are not C-contiguous
-        float64 arrays of the right shapes. changes: (positions, normals, friction, jacobian, torque_bias, contacts), each None if
-        it did not change.
+        Return a solution, whose code says whether it holds a force; NotImplemented if wrench or changes are not
+        C-contiguous float64 arrays of the right shapes. changes: (positions, normals, friction, jacobian, torque_bias,
+        contacts), None where nothing changes.
         """
 
     def start(self, wrench: object, changes: object | None, request: Request) -> object:
@@ -268,7 +268,7 @@ class ForceOptimizer:
 
     def update(self, changes: object) -> bool:
         """
-        Replace contacts and limits for later calls. Return False, with nothing changed, if they are not possible.
+        Replace contacts and limits for later calls. Return False, with nothing changed, if they are impossible.
         """
 
     @property
@@ -288,14 +288,14 @@ class ForceOptimizer:
 
     def make_basis(self, basis: object, warm: bool) -> float:
         """
-        Compute that basis into `basis` and use it. Return the worst relative gap; inf: not converged, nan: no force closure.
-        warm: `basis` holds that of nearby contacts.
+        Compute that basis into `basis` and use it; warm: `basis` holds that of nearby contacts.
+        Return the worst relative gap; inf: not converged, nan: no force closure.
         """
 
     def deepest(self, wrench: object, force: object, torsion: object, twist: object) -> tuple[int, int, float]:
         """
-        Find the force (N, 3) and torsion (N,) deepest inside cones and limits, or the twist (6,) that proves that none is
-        inside. Return (code, iterations, margin).
+        Find the force (N, 3) and torsion (N,) deepest inside cones and limits, or the twist (6,) that proves that
+        none is inside. Return (code, iterations, margin).
         """
 
     def solve_many(self, wrenches: object, rows: object) -> None:
@@ -303,7 +303,7 @@ class ForceOptimizer:
 
     def times(self, wrenches: object, passes: int, rows: object, best: object) -> None:
         """
-        Measure the best time (M,) [s] of `passes` independent calls for each of (M, 6) wrenches, and write the last rows.
+        Write the best times (M,) [s] of `passes` calls for each of (M, 6) wrenches, and the last rows.
         """
 
     @property
@@ -338,9 +338,8 @@ class ForceProblems:
     Problems with any leading dimensions, read in place.
 
     The inputs are positions, normals, friction, tangents, torsional friction, wrench, jacobian, torque limit,
-    torque bias, smallest and largest normal force, omega, lambda, and optionally a start. Each is a tensor or
-    an array on the CPU, float64 or float32, whose leading dimensions broadcast; a number for all contacts or
-    joints; or None.
+    torque bias, smallest and largest normal force, omega, lambda, and optionally a start: float64 or float32
+    tensors or arrays on the CPU, whose leading dimensions broadcast; numbers for all contacts or joints; or None.
     """
 
     @staticmethod
@@ -372,14 +371,14 @@ class ForceProblems:
 
     def solve(self, range: tuple[int, int], stop: tuple[float, int], results: tuple) -> None:
         """
-        Write the optimal forces of a range of problems (first, last + 1) into arrays for all problems: force, torsion,
-        multipliers, facts and state, see `BatchForces`. stop: relative gap, and largest number of steps. Releases the GIL.
+        Write the optimal forces of the problems first to last, range (first, last + 1), into arrays for all problems:
+        force, torsion, multipliers, facts and state, see `BatchForces`. stop: relative gap, most steps. Releases the GIL.
         """
 
     def differentiate(self, range: tuple[int, int], state: object, losses: tuple, elastic: bool, gradients: tuple) -> None:
         """
-        Write the gradients of a loss with respect to the inputs, into arrays or None, in the inputs' order. losses: its
-        derivatives with respect to force, torsion and multipliers, or None. Releases the GIL.
+        Write the gradients of a loss by the inputs into arrays, in their order, or None. losses: its derivatives by force,
+        torsion and multipliers; None: zero. Releases the GIL.
         """
 
 FULL_CONTACTS: int = 8
@@ -397,8 +396,9 @@ def repeat_step(contacts: Contacts, form: str, x: object, times: int) -> float:
 
 def limit_rows(limits: tuple, matrix: object, bounds: object, limited: object) -> int:
     """
-    Write the finite limits of (min_normal (N,), max_normal (N,), jacobian (N, 4, J), torque_limit (J,), torque_bias (J,)) as rows
-    A f <= b on force and torsion: A (R, N, 4), b (R,) and the size of each limit (R,), with R = 2 (N + J). Return the number of rows.
+    Write the finite limits of (min_normal (N,), max_normal (N,), jacobian (N, 4, J), torque_limit (J,), torque_bias
+    (J,)) as rows A f <= b on force and torsion: A (R, N, 4), b (R,) and the size of each limit (R,), R = 2 (N + J).
+    Return the number of rows.
     """
 
 PLAIN_FEATURES: int = 8
@@ -458,7 +458,7 @@ class Model:
 
 def phi(x: object, weights: object) -> float:
     """
-    Return Phi of forces (N, 3) in cone coordinates with weights (N, 2) omega, lambda; inf unless strictly inside every cone.
+    Return Phi of forces (N, 3) in cone coordinates with weights (N, 2) omega, lambda; inf: not strictly inside.
     """
 
 def phi_gradient(x: object, weights: object, out: object) -> None:
@@ -478,21 +478,21 @@ class Surface:
     @staticmethod
     def make(kind: str, numbers: object) -> Surface:
         """
-        numbers (3,) [m]: cuboid, half its sides; cylinder, radius and half its height; sphere, radius; capsule,
-        radius and half the length of its axis.
+        numbers (3,) [m]: cuboid, half its sides; cylinder, radius and half its height; sphere, radius;
+        capsule, radius and half the length of its axis.
         """
 
     @staticmethod
     def mesh(corners: object, faces: object, pieces: Sequence[object]) -> Surface:
         """
-        A closed mesh: corners (V, 3) [m] and their indices (F, 3) as float64, counterclockwise from outside; pieces: corners
-        (K, 3) [m] of convex pieces whose union is the solid.
+        A closed mesh: corners (V, 3) [m] and their indices (F, 3) as float64, counterclockwise from outside;
+        pieces: corners (K, 3) [m] of convex pieces whose union is the solid.
         """
 
     def nearest(self, center: object) -> tuple[NDArray, NDArray, float]:
         """
-        Return the nearest point (3,) [m], the INWARD unit normal there and the distance [m], negative inside. If several
-        points are equally near, one of them; on edges the normal is the direction to them.
+        Return the nearest point (3,) [m], or one of them, the INWARD unit normal there and the distance [m],
+        negative inside. On edges the normal is the direction to the point.
         """
 
 REACHED: float = 1e-09
@@ -502,10 +502,7 @@ class Link:
 
     def __init__(self, *, parent: int, offset: Sequence[float], rotation: Sequence[float], axis: Sequence[float], mass: float, center: Sequence[float], lower: float, upper: float, torque_limit: float, sliding: bool = False, driver: int = -1, ratio: float = 1.0, shift: float = 0.0, inertia: Sequence[float] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]) -> None:
         """
-        parent: index of the link that carries it, -1: the palm. offset [m], rotation (9,): its joint in the parent's frame.
-        axis: unit vector of the joint; center: of mass [m], its own frame. Limits [rad], [N m]; for a sliding joint [m], [N].
-        driver: joint that it is coupled to, -1: none; its angle is ratio * that of the driver + shift. inertia: xx, xy, xz,
-        yy, yz, zz about the centre of mass [kg m^2].
+        The members of `grasp::Link`, see hand/tree.hpp; rotation and inertia row by row.
         """
 
 class Tip:
@@ -555,8 +552,7 @@ class Tree:
 
     def statics(self, angles: object, points: object, gravity: object, jacobian: object, torques: object) -> None:
         """
-        Write the Jacobians of the points (N, 3) [m] where the fingertips touch, into (N, 3, M), and the torques of
-        `gravity_torques`, into (M,).
+        Write the Jacobians of the points (N, 3) [m] where the tips touch, into (N, 3, M), and `gravity_torques`, into (M,).
         """
 
     def save(self) -> bytes:
@@ -583,8 +579,8 @@ class Reach:
 
     def solve(self, targets: object, starts: object, angles: object, missed: object) -> None:
         """
-        Bring the tips near targets (N, 3) [m], from starts (S, M) in this order; write the angles (M,) [rad] and the
-        distances (G,) of the worst tip of each group from its target [m].
+        Bring the tips near targets (N, 3) [m], from starts (S, M) in this order; write the angles (M,) [rad] and
+        for each group the distance (G,) of its worst tip from the target [m].
         """
 
 class Limb:
@@ -599,8 +595,8 @@ class Limb:
     @staticmethod
     def solid(*, link: int, kind: str, half: Sequence[float], center: Sequence[float], rotation: Sequence[float], corners: object, tip: bool) -> Limb:
         """
-        kind: box, half its sides; cylinder about z, radius, radius and half its height; hull, (K, 3) corners relative to
-        a point inside [m]. center [m] and rotation (9,), link frame.
+        kind: box, half its sides; cylinder about z, radius, radius and half its height; hull, (K, 3) corners
+        relative to a point inside [m]. center [m] and rotation (9,), link frame.
         """
 
 class HandLimbs:
@@ -619,20 +615,20 @@ class HandLimbs:
 
     def clearance(self, surface: Surface, angles: object, enough: float = float('inf')) -> tuple[float, float]:
         """
-        Return the smallest distances [m] at angles (M,), at most `enough`: of the links, without the spheres of
-        fingertips, from an object; of links and tips from one another.
+        Return the smallest distances [m] at angles (M,), at most `enough`: of the links, without the tips' spheres, from
+        an object; of links and tips from one another.
         """
 
     def link_gaps(self, angles: object, enough: float) -> list[tuple[int, int, float]]:
         """
-        Return the pairs of limbs of different links, not of one joint, at most `enough` apart [m]: (link, link, distance).
-        Coupled joints follow their drivers.
+        Return the pairs of limbs of different links, not of one joint, at most `enough` apart [m]:
+        (link, link, distance). Coupled joints follow their drivers.
         """
 
     def beside(self, finger: int, angles: object, middles: object, enough: float, gaps: object) -> None:
         """
-        Write (K,) distances, at most `enough` [m], of the rest of a finger and the palm in postures (K, M) from balls about
-        `middles` (K, 3) that touch its tip.
+        Write (K,) distances, at most `enough` [m], of the rest of a finger and the palm in postures (K, M) from balls
+        about `middles` (K, 3) that touch its tip.
         """
 
     @property
@@ -648,14 +644,12 @@ class GraspSearch:
     @staticmethod
     def make(hand: HandLimbs, surface: Surface, *, friction: float, torsion: float, length: float, space: float, start: float, gravity: Sequence[float], loads: object, directions: object) -> GraspSearch:
         """
-        loads: (L, 6) wrenches that the contacts must make, (force, moment / length) [N]; directions: (D, 6) for comparing
-        places; length, space between fingers, torsion (moment about the normal over normal force), start (gap of the tips
-        before they close) [m]; gravity (3,) [m/s^2].
+        The members of `grasp::Demand`, see planner/place.hpp, with loads (L, 6); directions: (D, 6) to compare places.
         """
 
     def fill(self, finger: int, draws: object, spread: Sequence[float], margins: Sequence[float], most: int) -> int:
         """
-        Refill the pool of places of a finger and return their number.
+        Find places of a finger anew and return their number.
         draws: (S, 6) in [0, 1); (draws - 1/2) * spread (6,) gives the start inside the object [m] and the offset of the
         direction towards the finger.
         margins: [m] of flat surface, [rad] from joint limits, [m] of clearance, [m] largest distance of a mesh's pieces.
@@ -676,9 +670,9 @@ class GraspSearch:
 
     def assemble(self, choice: Sequence[int], clearance: float, angles: object, start: object) -> int:
         """
-        Write the angles (M,) of the whole hand at a choice of places, and before it closes, as far as they exist. Return 0,
-        or the fault: 1 a link nearer to the object than `clearance` [m], 2 links touch, 3 no start, 4 and 5 as 1 and 2 at
-        the start, 6 fingers of one motor do not touch together.
+        Write the angles (M,) of the whole hand at a choice of places, and before it closes, as far as they exist. Return
+        0, or the fault: 1 a link nearer to the object than `clearance` [m], 2 links touch, 3 no start, 4 and 5 as 1 and 2
+        at the start, 6 fingers of one motor do not touch together.
         """
 
 class Answers:
@@ -688,15 +682,15 @@ class Answers:
 
     def __init__(self, *, link: int, place: int, forces: Sequence[tuple[int, int]], factor: float, first: int, links: Sequence[int]) -> None:
         """
-        For a contact: items of the engine's link number and of the point, pairs of items that hold amounts and directions of
-        forces; factor of all amounts, below 0 if they push the hand. links: the hand's link for each of the engine's, from
-        number `first` on; -1: none.
+        For a contact: items of the engine's link number and of the point, pairs of items that hold amounts and directions
+        of forces; factor of all amounts, below 0 if they push the hand. links: the hand's link for each of the engine's,
+        from number `first` on; -1: none.
         """
 
     def read(self, joints: object, pose: object, velocity: object, contacts: object) -> numpy.typing.NDArray[numpy.float64]:
         """
-        Return joints ((angle, rate, ...), ...), pose (position, quaternion), velocity (linear, angular) and contacts as the
-        flat numbers of `Scene.read`, a new array.
+        Return joints ((angle, rate, ...), ...), pose (position, quaternion), velocity (linear, angular) and contacts
+        as the flat numbers of `Scene.read`, a new array.
         """
 
 def reading_size(joints: int, contacts: int) -> int:
@@ -713,9 +707,9 @@ class Scene:
 
     def read(self, numbers: object) -> bool:
         """
-        Read angles (M,), rates (M,), the object's position, quaternion (x y z w), linear and angular velocity, and seven
-        numbers per contact: the hand's link, the point [m] and the force ON the object [N]; world frame. Return False if
-        numbers are not finite or the object is lost.
+        Read angles (M,), rates (M,), the object's position, quaternion (x y z w), linear and angular velocity, and per
+        contact the hand's link, the point [m] and the force ON the object [N]; world frame. Return False if numbers are
+        not finite or the object is lost.
         """
 
     def arrays(self) -> dict[str, NDArray]:
@@ -734,15 +728,12 @@ class Gather:
     def __call__(self) -> numpy.typing.NDArray[numpy.float32]: ...
 
 class Body:
-    """
-    The controller's model of the object, and the gains of its pose feedback.
-    """
+    """Model of the object and gains of its pose feedback: see balance.hpp."""
 
     def __init__(self) -> None: ...
 
     @property
-    def mass(self) -> float:
-        """[kg]"""
+    def mass(self) -> float: ...
 
     @mass.setter
     def mass(self, arg: float, /) -> None: ...
@@ -755,29 +746,25 @@ class Body:
     def inertia(self, arg: Sequence[float], /) -> None: ...
 
     @property
-    def position_gain(self) -> float:
-        """[N/m]"""
+    def position_gain(self) -> float: ...
 
     @position_gain.setter
     def position_gain(self, arg: float, /) -> None: ...
 
     @property
-    def position_damping(self) -> float:
-        """[N s/m]"""
+    def position_damping(self) -> float: ...
 
     @position_damping.setter
     def position_damping(self, arg: float, /) -> None: ...
 
     @property
-    def rotation_gain(self) -> float:
-        """[1/s^2], times the inertia"""
+    def rotation_gain(self) -> float: ...
 
     @rotation_gain.setter
     def rotation_gain(self, arg: float, /) -> None: ...
 
     @property
-    def rotation_damping(self) -> float:
-        """[1/s], times the inertia"""
+    def rotation_damping(self) -> float: ...
 
     @rotation_damping.setter
     def rotation_damping(self, arg: float, /) -> None: ...
@@ -788,7 +775,7 @@ class Body:
         """
 
 class Spring:
-    """A spring and damper that draws a tip to its place."""
+    """Draws a tip to its place."""
 
     def __init__(self, gain: float, damping: float, limit: float) -> None:
         """[N/m], [N s/m], largest force [N]"""
@@ -803,25 +790,20 @@ class WrenchSource(enum.Enum):
     none = 2
 
 class Hold(enum.Enum):
-    """Behaviour of the fingers in contact."""
+    """Behaviour of the fingers in contact: see control_settings.hpp."""
 
     optimized = 0
-    """the force found by the method, continued by Newton"""
 
     squeeze = 1
-    """a constant internal force plus the balancing force"""
 
     place = 2
-    """no force: every finger holds its place"""
 
     direct = 3
-    """given forces"""
 
     reach = 4
-    """no force: every finger is drawn to its contact"""
 
 class ControlSettings:
-    """Object model and gains of a control loop."""
+    """Object model and gains of a control loop: see control_settings.hpp."""
 
     def __init__(self) -> None: ...
 
@@ -832,76 +814,66 @@ class ControlSettings:
     def body(self, arg: Body, /) -> None: ...
 
     @property
-    def reach(self) -> list[Spring]:
-        """(N,) for fingers without contact, on their way"""
+    def reach(self) -> list[Spring]: ...
 
     @reach.setter
     def reach(self, arg: Sequence[Spring], /) -> None: ...
 
     @property
-    def spring(self) -> Spring:
-        """for all fingers while nothing is optimised"""
+    def spring(self) -> Spring: ...
 
     @spring.setter
     def spring(self, arg: Spring, /) -> None: ...
 
     @property
-    def reach_depth(self) -> float:
-        """[m] below the surface: goal of reaching fingers"""
+    def reach_depth(self) -> float: ...
 
     @reach_depth.setter
     def reach_depth(self, arg: float, /) -> None: ...
 
     @property
-    def posture(self) -> list[Spring]:
-        """(M,) for joints that the tips leave free [N m/rad], [N m s/rad]"""
+    def posture(self) -> list[Spring]: ...
 
     @posture.setter
     def posture(self, arg: Sequence[Spring], /) -> None: ...
 
     def set_follow(self, tolerance: float, limit: int, conic: bool = False) -> None:
         """
-        Set the solver of the ticks between two solves of the method, Newton or conic: relative certified gap, largest
-        number of steps.
+        Set the solver between two solves of the method, Newton or conic: relative certified gap, most steps.
         """
 
     @property
-    def remembers(self) -> bool:
-        """True if the method gets the last command"""
+    def remembers(self) -> bool: ...
 
     @remembers.setter
     def remembers(self, arg: bool, /) -> None: ...
 
     @property
-    def directions(self) -> list[float]:
-        """(N, 3, K) internal forces that an adjustment combines, object frame"""
+    def directions(self) -> list[float]: ...
 
     @directions.setter
     def directions(self, arg: Sequence[float], /) -> None: ...
 
     @property
-    def squeeze(self) -> float:
-        """[N] total normal force of `Hold.squeeze`"""
+    def squeeze(self) -> float: ...
 
     @squeeze.setter
     def squeeze(self, arg: float, /) -> None: ...
 
     @property
-    def most_change(self) -> float:
-        """[N] largest change of a force in a tick beyond balance"""
+    def most_change(self) -> float: ...
 
     @most_change.setter
     def most_change(self, arg: float, /) -> None: ...
 
     @property
-    def release(self) -> int:
-        """ticks without force until a finger no longer counts as in contact"""
+    def release(self) -> int: ...
 
     @release.setter
     def release(self, arg: int, /) -> None: ...
 
 class SensorSettings:
-    """Delay and noise of the controller's sensors."""
+    """Delay and noise of the controller's sensors: see sensing.hpp."""
 
     def __init__(self) -> None: ...
 
@@ -912,137 +884,105 @@ class SensorSettings:
     def wrench(self, arg: WrenchSource, /) -> None: ...
 
     @property
-    def tick(self) -> float:
-        """[s]"""
+    def tick(self) -> float: ...
 
     @tick.setter
     def tick(self, arg: float, /) -> None: ...
 
     @property
-    def keep(self) -> float:
-        """fraction of its value that the estimate keeps over a tick"""
+    def keep(self) -> float: ...
 
     @keep.setter
     def keep(self, arg: float, /) -> None: ...
 
     @property
-    def delay(self) -> int:
-        """ticks of delay of everything"""
+    def delay(self) -> int: ...
 
     @delay.setter
     def delay(self, arg: int, /) -> None: ...
 
     @property
-    def wrench_delay(self) -> int:
-        """further ticks of delay of measured wrenches"""
+    def wrench_delay(self) -> int: ...
 
     @wrench_delay.setter
     def wrench_delay(self, arg: int, /) -> None: ...
 
     @property
-    def pose_noise(self) -> float:
-        """standard deviation per axis [m]"""
+    def pose_noise(self) -> float: ...
 
     @pose_noise.setter
     def pose_noise(self, arg: float, /) -> None: ...
 
     @property
-    def tactile_noise(self) -> float:
-        """standard deviation per axis, fraction of the force"""
+    def tactile_noise(self) -> float: ...
 
     @tactile_noise.setter
     def tactile_noise(self, arg: float, /) -> None: ...
 
 class Effort:
-    """Effort of solvers and motors since `begin_step`."""
+    """
+    Effort of solvers and motors since `begin_step`: see control_settings.hpp.
+    """
 
     @property
-    def iterations(self) -> int:
-        """accepted steps of the method"""
+    def iterations(self) -> int: ...
 
     @property
-    def trials(self) -> int:
-        """all steps tried by the method"""
+    def trials(self) -> int: ...
 
     @property
-    def followed(self) -> int:
-        """iterations of the control ticks between two solves of the method"""
+    def followed(self) -> int: ...
 
     @property
-    def limited(self) -> int:
-        """
-        iterations of Newton within the torque limits, when a force exceeded them
-        """
+    def limited(self) -> int: ...
 
     @property
-    def saturated(self) -> bool:
-        """True if torques were cut"""
+    def saturated(self) -> bool: ...
 
     @property
-    def margin(self) -> float:
-        """smallest distance of a torque from its limit [N m]"""
+    def margin(self) -> float: ...
 
     @property
-    def share(self) -> float:
-        """largest torque as a fraction of its limit"""
+    def share(self) -> float: ...
 
 class Costs:
-    """Costs of an agent's step, each from 0 to 1."""
+    """Costs of an agent's step, each from 0 to 1: see control_settings.hpp."""
 
     @property
-    def force(self) -> float:
-        """
-        fraction of the commanded normal forces above the smallest that balance the wrench; 1: no force balances it
-        """
+    def force(self) -> float: ...
 
     @property
-    def torque(self) -> float:
-        """largest torque of the step as a fraction of its limit"""
+    def torque(self) -> float: ...
 
     @property
-    def change(self) -> float:
-        """
-        change of the commanded forces in the step, relative to the forces before and after: sums of |components|
-        """
+    def change(self) -> float: ...
 
 class Outcome:
-    """Quality of the hold."""
+    """Quality of the hold: see controller.hpp."""
 
     @property
-    def drift(self) -> float:
-        """[m] distance from the target position"""
+    def drift(self) -> float: ...
 
     @property
-    def tilt(self) -> float:
-        """[rad] angle to the target orientation"""
+    def tilt(self) -> float: ...
 
     @property
-    def force_error(self) -> float:
-        """largest component of measured - commanded force [N]"""
+    def force_error(self) -> float: ...
 
     @property
-    def slip(self) -> float:
-        """highest tangential speed of a touching tip on the object [m/s]"""
+    def slip(self) -> float: ...
 
     @property
-    def stray(self) -> float:
-        """force of links on the object [N]"""
+    def stray(self) -> float: ...
 
     @property
-    def slide(self) -> float:
-        """
-        largest sliding distance of a touching tip on the object since `reset` [m]
-        """
+    def slide(self) -> float: ...
 
     @property
-    def overlap(self) -> float:
-        """largest overlap of a tip and the object since `reset` [m]"""
+    def overlap(self) -> float: ...
 
     @property
-    def stray_share(self) -> float:
-        """
-        largest force of links on the object since `reset`, relative to external force plus weight, at least the weight
-        """
+    def stray_share(self) -> float: ...
 
 class Controller:
     """The control loop of a hand: from readings to joint torques."""
@@ -1061,17 +1001,17 @@ class Controller:
 
     def see(self, reading: object | None, external: object, gravity: object, target: object, noise: object | None) -> bool:
         """
-        First half of a control tick: observe the scene and find the wrench to balance. Return False if the reading is not finite
-        or the object is lost.
-        reading: as for `Scene.read`; None: the scene has read it already. external: the wrench (6,) that a perfect sensor
-        reports; gravity (3,); target (19,); noise: standard normal numbers (3 + 3N,) if anything is noisy.
+        First half of a control tick: observe the scene and find the wrench to balance.
+        Return False if the reading is not finite or the object is lost.
+        reading: as for `Scene.read`; None: the scene has read it. external: the wrench (6,) that a perfect sensor reports;
+        gravity (3,); target (19,); noise: standard normal numbers (3 + 3N,) if anything is noisy.
         """
 
     def act(self, due: bool, adjustment: object | None, start: object | None, given: object | None) -> list[float]:
         """
-        Second half of a tick: find forces, and return the joint torques (M,) [N m] that produce them. due: True if an agent's step
-        begins, with adjustment (K,) [N] of the start. start: (N, 3) [N], contact frames, start of the method; given: (N, 3) [N],
-        contact frames, forces for `Hold.direct`.
+        Second half of a tick: find forces, and return the joint torques (M,) [N m] that produce them.
+        due: True if an agent's step begins, with adjustment (K,) [N] of the start. start: (N, 3) [N], contact frames,
+        start of the method; given: (N, 3) [N], contact frames, forces for `Hold.direct`.
         """
 
     @property
@@ -1105,14 +1045,14 @@ class Controller:
 
     def outcome(self, target: object, error: object, measured: object) -> Outcome:
         """
-        Return the outcome from the true state; write the pose error (12,) against a target (19,), and the measured forces
-        (N, 3) in the commanded contact frames [N].
+        Return the outcome from the true state; write the pose error (12,) against a target (19,), and the
+        measured forces (N, 3) in the commanded contact frames [N].
         """
 
     def step_info(self, outcome: Outcome, measured: object) -> dict[str, object]:
         """
-        Return the report of a step by name: the method's solution, contacts, forces [N], effort, and an outcome with its
-        measured forces (N, 3). The arrays are copies.
+        Return the report of a step by name: the method's solution, contacts, forces [N], effort, and an
+        outcome with its measured forces (N, 3). The arrays are copies.
         """
 
     def arrays(self) -> dict[str, NDArray]:

@@ -1,9 +1,9 @@
-// Python's buffer protocol: an array is read in place if its layout is the core's, and refused
-// otherwise (Python then converts it, or reports an error). Never a silent copy, never a misread
-// layout.
+// Python's buffer protocol: an array is read in place if its layout is the core's. Otherwise Python
+// converts it, or reports an error.
 #pragma once
 
 #include <cstring>
+#include <span>
 
 #include "module.hpp"
 
@@ -35,17 +35,16 @@ class Buffer {
     return held_ && std::strcmp(view_.format, "d") == 0 &&
            view_.len == count * Py_ssize_t(sizeof(double));
   }
-  int axes() const { return view_.ndim; }
   Py_ssize_t length(int axis) const { return view_.shape[axis]; }
   double* data() const { return static_cast<double*>(view_.buf); }
+  std::span<double> numbers() const { return {data(), view_.len / sizeof(double)}; }
 
  private:
   Py_buffer view_;
   bool held_ = false;
 };
 
-// The numbers of an array that Python has made for the core. Throws a TypeError for another shape,
-// which is a bug of the package itself.
+// The numbers of an array that the package made for the core. Throws a TypeError for another shape.
 class Numbers : public Buffer {
  public:
   template <class... Sizes> Numbers(nb::handle object, bool writable, Sizes... sizes)
@@ -59,6 +58,11 @@ template <class... Sizes> inline Numbers in(nb::handle object, Sizes... sizes) {
 }
 template <class... Sizes> inline Numbers out(nb::handle object, Sizes... sizes) {
   return {object, true, sizes...};
+}
+
+// Throw a ValueError unless index is one of `size`.
+inline void check_index(int index, std::size_t size, const char* message) {
+  if (index < 0 || std::size_t(index) >= size) throw nb::value_error(message);
 }
 
 // Rows of numbers with any leading dimensions, or a TypeError as above.

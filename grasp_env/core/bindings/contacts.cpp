@@ -24,9 +24,8 @@ int along_normal(nb::handle tangents, nb::handle normals) {
   return first_along(int(o.length(0)), o.data(), n.data());
 }
 
-// Reads the arguments of `Grasp.from_contacts` if they have the expected form: arrays of this
-// layout, numbers within the ranges of `grasp_env/inputs/ranges.py`, a rank of 6 beyond doubt.
-// Otherwise Python converts them or reports the error.
+// Reads the arguments of `Grasp.from_contacts`: arrays of the core's layout, numbers within the
+// ranges of `grasp_env/inputs/ranges.py`, a rank of 6 beyond doubt. Python treats all others.
 struct ContactReader {
   double least_friction, most_friction, least_length, most_length, distance;
   int most;
@@ -54,7 +53,7 @@ struct ContactReader {
   }
 
  private:
-  bool plain(nb::handle given) const { return Py_TYPE(given.ptr()) == array; }
+  bool plain(nb::handle object) const { return Py_TYPE(object.ptr()) == array; }
 
   nb::object place(Contacts&& c, std::span<const double> friction, const double* at,
                    const double* inward) const {
@@ -70,7 +69,6 @@ struct ContactReader {
   }
 };
 
-// True if all numbers of a C-contiguous float64 array are finite.
 bool all_finite(nb::handle array) {
   Py_buffer view;
   if (PyObject_GetBuffer(array.ptr(), &view, PyBUF_C_CONTIGUOUS | PyBUF_FORMAT) != 0)
@@ -85,21 +83,18 @@ bool all_finite(nb::handle array) {
   return total == 0.0;
 }
 
-// Normalise (N, 3) normals in place, except those of unit length within rounding. Return the index
-// of the first off unit length by more than UNIT_TOLERANCE; -1: none.
 int normalise(nb::handle normals) {
   const Numbers n = out(normals, -1, 3);
   int first = -1;
   for (int i = int(n.length(0)) - 1; i >= 0; --i) {
-    const Point given = point(n.data() + 3 * i);
-    const Point unit = normalised(given);
-    if (!(std::abs(length(given) - 1.0) <= UNIT_TOLERANCE)) first = i;
+    const Point normal = point(n.data() + 3 * i);
+    const Point unit = normalised(normal);
+    if (!(std::abs(length(normal) - 1.0) <= UNIT_TOLERANCE)) first = i;
     for (int a = 0; a < 3; ++a) n.data()[3 * i + a] = unit[a];
   }
   return first;
 }
 
-// Convert (N, 2) friction along o and t, 0: frictionless, to (N, 3) scale of cone coordinates.
 void scales(nb::handle friction, nb::handle scale) {
   const Numbers mu = in(friction, -1, 2);
   const Numbers cones = out(scale, mu.length(0), 3);
@@ -121,7 +116,6 @@ Contacts make(nb::handle positions, nb::handle normals, nb::handle scale, nb::ha
                            along.length(0) ? in(tangents, count, 3).data() : nullptr);
 }
 
-// Contacts at any places: the caller checks `placing` and `clear`.
 Contacts put(nb::handle positions, nb::handle normals, nb::handle scale, nb::handle torsion,
              nb::handle tangents) {
   const Numbers p = in(positions, -1, 3);
@@ -156,6 +150,14 @@ Contacts weighed_each(const Contacts& contacts, nb::handle weights) {
 }
 
 const Contacts& of(nb::handle self) { return nb::cast<const Contacts&>(self); }
+// A view of an array with a row, or three columns, for each contact.
+template <std::vector<double> Contacts::* array, std::size_t... columns>
+ReadOnly rows(nb::handle self) {
+  return view(self, (of(self).*array).data(), {std::size_t(of(self).count), columns...});
+}
+template <std::vector<double> Contacts::* matrix> ReadOnly columns(nb::handle self) {
+  return view(self, (of(self).*matrix).data(), {6, std::size_t(3 * of(self).count)});
+}
 
 ReadOnly torsion_matrix(const Contacts& c) {
   const std::size_t n = c.count;
@@ -163,12 +165,12 @@ ReadOnly torsion_matrix(const Contacts& c) {
   for (std::size_t i = 0; i < n; ++i)
     for (int a = 0; a < 3 && c.torsion[i] > 0.0; ++a)
       matrix[(3 + a) * n + i] = c.normals[3 * i + a];
-  return kept(std::move(matrix), {6, n});
+  return array_of(std::move(matrix), {6, n});
 }
 ReadOnly unit_frame(const Contacts& c) {
   std::vector<double> matrix(36);
   c.unit.write(matrix.data());
-  return kept(std::move(matrix), {6, 6});
+  return array_of(std::move(matrix), {6, 6});
 }
 
 }  // namespace
@@ -209,19 +211,17 @@ void bind_contacts(nb::module_& m) {
                    "object) -> Contacts | None"),
            "Make hard contacts from float64 arrays: (N, 3), friction a float, (N,) or (N, 2), "
            "tangents (N, 3) or None.\n"
-           "Return None if one of them has another class, shape or layout or is out of range, or "
-           "if the rank is not\n"
-           "6 beyond doubt.");
+           "Return None if one has another class, shape or layout or is out of range, or if the "
+           "rank is not 6 beyond doubt.");
   nb::class_<Contacts>(m, "Contacts",
                        "Contacts: friction, weights and places. The arrays are those of a `Grasp`.")
       .def_static("make", &make, "positions"_a, "normals"_a, "scale"_a, "weights"_a, "tangents"_a,
-                  "Make hard contacts: (N, 3) positions [m] and inward unit normals, (N, 3) scale "
-                  "of cone coordinates, (N, 2)\n"
-                  "omega and lambda, (N, 3) tangents or (0, 3). Raises ValueError for numbers that "
-                  "cannot be used.")
+                  "Make hard contacts: (N, 3) positions [m], inward unit normals and scale of cone "
+                  "coordinates, (N, 2) omega and\n"
+                  "lambda, (N, 3) tangents or (0, 3). Raises ValueError for unusable numbers.")
       .def_static(
           "put", &put, "positions"_a, "normals"_a, "scale"_a, "torsion"_a, "tangents"_a,
-          "The same with (N,) torsional friction [m], for any places: check `refused` and `clear`.")
+          "The same with (N,) torsional friction [m]; the caller checks `refused` and `clear`.")
       .def("weighed", &weighed_alike, "force_weight"_a, "barrier_weight"_a,
            "Copy for solvers with omega and lambda, keeping the current tangents. Raises "
            "ValueError unless the rank of G is 6.")
@@ -236,38 +236,26 @@ void bind_contacts(nb::module_& m) {
           "within_reach",
           [](const Contacts& c, nb::handle wrench, nb::handle to) {
             const Vec6 part = c.within_reach(in(wrench, 6).data());
-            std::copy(part.begin(), part.end(), out(to, 6).data());
+            std::ranges::copy(part, out(to, 6).data());
           },
           "wrench"_a, "to"_a,
-          "Write a wrench (6,) without its part that no forces of these contacts make into `to` "
-          "(6,).")
+          "Write the part of a wrench (6,) that forces of these contacts can make into `to` (6,).")
       .def_prop_ro(
           "rank", [](const Contacts& c) { return c.reach.rank; }, "Rank of G, torsion included.")
       .def_prop_ro("soft", &Contacts::soft, "True if any contact transmits torsion.")
       .def_prop_ro("length", [](const Contacts& c) { return c.unit.length; })
       .def_prop_ro("centre", [](nb::handle s) { return view(s, &of(s).unit.centre.u, {3}); })
-      .def_prop_ro(
-          "positions",
-          [](nb::handle s) { return view(s, of(s).positions.data(), {size_t(of(s).count), 3}); })
-      .def_prop_ro(
-          "normals",
-          [](nb::handle s) { return view(s, of(s).normals.data(), {size_t(of(s).count), 3}); })
+      .def_prop_ro("positions", &rows<&Contacts::positions, 3>)
+      .def_prop_ro("normals", &rows<&Contacts::normals, 3>)
       .def_prop_ro(
           "tangents",
           [](nb::handle s) {
             return view(s, of(s).tangents.data(), {of(s).tangents.size() / 3, 3});
           },
           "(N, 3) given tangents, or (0, 3) for the default rule.")
-      .def_prop_ro(
-          "frames",
-          [](nb::handle s) { return view(s, of(s).frames.data(), {size_t(of(s).count), 3, 3}); })
-      .def_prop_ro(
-          "matrix",
-          [](nb::handle s) { return view(s, of(s).matrix.data(), {6, size_t(3 * of(s).count)}); })
-      .def_prop_ro("cone_matrix",
-                   [](nb::handle s) {
-                     return view(s, of(s).cone_matrix.data(), {6, size_t(3 * of(s).count)});
-                   })
+      .def_prop_ro("frames", &rows<&Contacts::frames, 3, 3>)
+      .def_prop_ro("matrix", &columns<&Contacts::matrix>)
+      .def_prop_ro("cone_matrix", &columns<&Contacts::cone_matrix>)
       .def_prop_ro("torsion_matrix", &torsion_matrix, nb::rv_policy::automatic)
       .def_prop_ro("unit_frame", &unit_frame, nb::rv_policy::automatic);
 }

@@ -28,7 +28,7 @@ std::array<double, 6> wrench(const Body& body, const Scene& scene, nb::handle ta
   return body.wrench(scene.now, target_of(target), point(in(gravity, 3).data()));
 }
 
-// The input of a tick, read from arrays that live as long as the call.
+// The input of a tick, in arrays that live as long as the call.
 class Known {
  public:
   Known(const Controller& controller, nb::handle reading, nb::handle external, nb::handle gravity,
@@ -39,10 +39,9 @@ class Known {
       throw nb::type_error("reading must be (2M + 13 + 7 contacts,)");
     if (!controller.sensors.exact() && !noise_.has(3 + 3 * controller.tree->fingers()))
       throw nb::type_error("noise must be (3 + 3N,)");
-    known = {
-        reading.is_none() ? Doubles{} : Doubles(reading_.data(), std::size_t(reading_.length(0))),
-        external_.data(), noise.is_none() ? nullptr : noise_.data(), point(in(gravity, 3).data()),
-        target_of(target)};
+    known = {reading.is_none() ? Doubles{} : reading_.numbers(), external_.data(),
+             noise.is_none() ? nullptr : noise_.data(), point(in(gravity, 3).data()),
+             target_of(target)};
   }
   Controller::Known known;
 
@@ -55,19 +54,20 @@ class Known {
 // The same for an agent's step.
 class AgentStep {
  public:
-  AgentStep(const Controller& controller, nb::handle adjustment, nb::handle start, nb::handle given)
-      : adjustment_(adjustment), start_(start), given_(given) {
+  AgentStep(const Controller& controller, nb::handle adjustment, nb::handle start,
+            nb::handle command)
+      : adjustment_(adjustment), start_(start), command_(command) {
     const auto forces = [&](const Buffer& from, nb::handle object) {
       if (object.is_none()) return Doubles{};
       if (!from.has(controller.tree->fingers(), 3)) throw nb::type_error("forces must be (N, 3)");
-      return Doubles(from.data(), controller.force.size());
+      return Doubles(from.numbers());
     };
     const std::size_t columns = controller.settings.directions.size() / controller.force.size();
     if (!adjustment.is_none()) {
       if (!adjustment_.has(columns)) throw nb::type_error("adjustment must be (K,)");
-      step.adjustment = Doubles(adjustment_.data(), columns);
+      step.adjustment = adjustment_.numbers();
     }
-    step.force = forces(given_, given);
+    step.force = forces(command_, command);
     if (!start.is_none()) {
       step.start = Start::given;
       step.force = forces(start_, start);
@@ -76,7 +76,7 @@ class AgentStep {
   Controller::StepRequest step;
 
  private:
-  Buffer adjustment_, start_, given_;
+  Buffer adjustment_, start_, command_;
 };
 
 nb::typed<nb::list, double> list_of(const std::vector<double>& numbers) {
@@ -86,9 +86,9 @@ nb::typed<nb::list, double> list_of(const std::vector<double>& numbers) {
 }
 
 nb::typed<nb::list, double> act(Controller& controller, bool due, nb::handle adjustment,
-                                nb::handle start, nb::handle given) {
+                                nb::handle start, nb::handle command) {
   if (due) {
-    const AgentStep step(controller, adjustment, start, given);
+    const AgentStep step(controller, adjustment, start, command);
     controller.act(&step.step);
   } else {
     controller.act();
@@ -123,18 +123,19 @@ struct StepReport {
 PyObject* new_array(const double* from, std::initializer_list<npy_intp> shape) {
   PyObject* result = PyArray_SimpleNew(int(shape.size()), shape.begin(), NPY_DOUBLE);
   if (!result) return nullptr;
-  PyArrayObject* array = reinterpret_cast<PyArrayObject*>(result);
-  std::copy_n(from, PyArray_SIZE(array), static_cast<double*>(PyArray_DATA(array)));
+  std::copy_n(from, PyArray_SIZE(reinterpret_cast<PyArrayObject*>(result)),
+              data_of<double>(result));
   return result;
 }
 PyObject* touching(const Controller& c) {
-  npy_intp fingers = c.tree->fingers();
-  PyObject* result = PyArray_SimpleNew(1, &fingers, NPY_BOOL);
-  if (!result) return nullptr;
-  npy_bool* to = static_cast<npy_bool*>(PyArray_DATA(reinterpret_cast<PyArrayObject*>(result)));
-  for (int i = 0; i < fingers; ++i) to[i] = c.scene->now.touching[i] > 0.0;
-  return result;
+  nb::object result = new_row(c.tree->fingers(), NPY_BOOL);
+  npy_bool* to = data_of<npy_bool>(result.ptr());
+  for (int i = 0; i < c.tree->fingers(); ++i) to[i] = c.scene->now.touching[i] > 0.0;
+  return result.release().ptr();
 }
+PyObject* value(double number) { return PyFloat_FromDouble(number); }
+PyObject* value(int number) { return PyLong_FromLong(number); }
+PyObject* value(bool truth) { return PyBool_FromLong(truth); }
 
 constexpr double LARGEST_GAP = 1e9;  // reported instead of an infinite gap
 
@@ -142,44 +143,39 @@ constexpr struct {
   const char* name;
   PyObject* (*make)(const StepReport&);
 } REPORT_FIELDS[] = {
-    {"iterations", [](const StepReport& t) { return PyLong_FromLong(t.c.effort.iterations); }},
-    {"trials", [](const StepReport& t) { return PyLong_FromLong(t.c.effort.trials); }},
+    {"iterations", [](const StepReport& t) { return value(t.c.effort.iterations); }},
+    {"trials", [](const StepReport& t) { return value(t.c.effort.trials); }},
     {"objective",
-     [](const StepReport& t) {
-       return PyFloat_FromDouble(t.solved ? t.solution.summary().objective : 0.0);
-     }},
+     [](const StepReport& t) { return value(t.solved ? t.solution.summary().objective : 0.0); }},
     {"optimality_gap",
      [](const StepReport& t) {
-       return PyFloat_FromDouble(t.solved ? std::min(t.solution.gap(), LARGEST_GAP) : 0.0);
+       return value(t.solved ? std::min(t.solution.gap(), LARGEST_GAP) : 0.0);
      }},
     {"cone_margin",
-     [](const StepReport& t) {
-       return PyFloat_FromDouble(t.solved ? t.solution.summary().margin : 0.0);
-     }},
-    {"force_closure", [](const StepReport& t) { return PyBool_FromLong(t.c.closure); }},
-    {"contacts", [](const StepReport& t) { return PyLong_FromLong(std::popcount(t.c.mask)); }},
-    {"contact_changes", [](const StepReport& t) { return PyLong_FromLong(t.c.changes); }},
+     [](const StepReport& t) { return value(t.solved ? t.solution.summary().margin : 0.0); }},
+    {"force_closure", [](const StepReport& t) { return value(t.c.closure); }},
+    {"contacts", [](const StepReport& t) { return value(std::popcount(t.c.mask)); }},
+    {"contact_changes", [](const StepReport& t) { return value(t.c.changes); }},
     {"wrench", [](const StepReport& t) { return new_array(t.c.wrench.data(), {6}); }},
     {"commanded_force",
      [](const StepReport& t) { return new_array(t.c.force.data(), {t.c.tree->fingers(), 3}); }},
     {"measured_force",
      [](const StepReport& t) { return new_array(t.measured, {t.c.tree->fingers(), 3}); }},
-    {"force_error", [](const StepReport& t) { return PyFloat_FromDouble(t.outcome.force_error); }},
+    {"force_error", [](const StepReport& t) { return value(t.outcome.force_error); }},
     {"touching", [](const StepReport& t) { return touching(t.c); }},
-    {"stray_force", [](const StepReport& t) { return PyFloat_FromDouble(t.outcome.stray); }},
-    {"slip", [](const StepReport& t) { return PyFloat_FromDouble(t.outcome.slip); }},
-    {"slip_distance",
-     [](const StepReport& t) { return PyFloat_FromDouble(t.outcome.worst.slide); }},
-    {"overlap", [](const StepReport& t) { return PyFloat_FromDouble(t.outcome.worst.overlap); }},
-    {"stray_share", [](const StepReport& t) { return PyFloat_FromDouble(t.outcome.worst.stray); }},
-    {"drift", [](const StepReport& t) { return PyFloat_FromDouble(t.outcome.drift); }},
-    {"tilt", [](const StepReport& t) { return PyFloat_FromDouble(t.outcome.tilt); }},
-    {"peak_torque", [](const StepReport& t) { return PyFloat_FromDouble(t.c.peak); }},
-    {"followed", [](const StepReport& t) { return PyLong_FromLong(t.c.effort.followed); }},
-    {"limited", [](const StepReport& t) { return PyLong_FromLong(t.c.effort.limited); }},
-    {"torque_margin", [](const StepReport& t) { return PyFloat_FromDouble(t.c.effort.margin); }},
-    {"torque_share", [](const StepReport& t) { return PyFloat_FromDouble(t.c.effort.share); }},
-    {"saturated", [](const StepReport& t) { return PyBool_FromLong(t.c.effort.saturated); }},
+    {"stray_force", [](const StepReport& t) { return value(t.outcome.stray); }},
+    {"slip", [](const StepReport& t) { return value(t.outcome.slip); }},
+    {"slip_distance", [](const StepReport& t) { return value(t.outcome.worst.slide); }},
+    {"overlap", [](const StepReport& t) { return value(t.outcome.worst.overlap); }},
+    {"stray_share", [](const StepReport& t) { return value(t.outcome.worst.stray); }},
+    {"drift", [](const StepReport& t) { return value(t.outcome.drift); }},
+    {"tilt", [](const StepReport& t) { return value(t.outcome.tilt); }},
+    {"peak_torque", [](const StepReport& t) { return value(t.c.peak); }},
+    {"followed", [](const StepReport& t) { return value(t.c.effort.followed); }},
+    {"limited", [](const StepReport& t) { return value(t.c.effort.limited); }},
+    {"torque_margin", [](const StepReport& t) { return value(t.c.effort.margin); }},
+    {"torque_share", [](const StepReport& t) { return value(t.c.effort.share); }},
+    {"saturated", [](const StepReport& t) { return value(t.c.effort.saturated); }},
 };
 
 PyObject* field_names[std::size(REPORT_FIELDS)];  // the names, interned once
@@ -197,7 +193,7 @@ nb::typed<nb::dict, nb::str, nb::object> step_info(const Controller& c,
   return out;
 }
 
-nb::typed<nb::dict, nb::str, nb::ndarray<>> arrays(nb::handle self) {
+Arrays arrays(nb::handle self) {
   auto& c = nb::cast<Controller&>(self);
   const std::size_t fingers = c.tree->fingers();
   const std::size_t joints = c.tree->joints();
@@ -214,7 +210,7 @@ nb::typed<nb::dict, nb::str, nb::ndarray<>> arrays(nb::handle self) {
   return named;
 }
 
-nb::typed<nb::dict, nb::str, nb::ndarray<>> seen(nb::handle self) {
+Arrays seen(nb::handle self) {
   return arrays_of(self, const_cast<Snapshot&>(nb::cast<Controller&>(self).seen()));
 }
 
@@ -226,9 +222,9 @@ void bind_controller(nb::module_& m) {
     if (!(field_names[k] = PyUnicode_InternFromString(REPORT_FIELDS[k].name)))
       throw nb::python_error();
   nb::class_<Body>(m, "Body",
-                   "The controller's model of the object, and the gains of its pose feedback.")
+                   "Model of the object and gains of its pose feedback: see balance.hpp.")
       .def(nb::init<>())
-      .def_rw("mass", &Body::mass, "[kg]")
+      .def_rw("mass", &Body::mass)
       .def_prop_rw(
           "inertia",
           [](const Body& b) {
@@ -238,35 +234,34 @@ void bind_controller(nb::module_& m) {
           },
           [](Body& b, const Nine& a) { b.inertia = Rotation::from(a.data()); },
           "(9,) [kg m^2] about its centre, object frame")
-      .def_rw("position_gain", &Body::position_gain, "[N/m]")
-      .def_rw("position_damping", &Body::position_damping, "[N s/m]")
-      .def_rw("rotation_gain", &Body::rotation_gain, "[1/s^2], times the inertia")
-      .def_rw("rotation_damping", &Body::rotation_damping, "[1/s], times the inertia")
+      .def_rw("position_gain", &Body::position_gain)
+      .def_rw("position_damping", &Body::position_damping)
+      .def_rw("rotation_gain", &Body::rotation_gain)
+      .def_rw("rotation_damping", &Body::rotation_damping)
       .def("wrench", &wrench, "scene"_a, "target"_a, "gravity"_a,
            "Weight - inertial wrench of the target motion + pose feedback (6,) [N, N m], object "
            "frame.");
-  nb::class_<Spring>(m, "Spring", "A spring and damper that draws a tip to its place.")
+  nb::class_<Spring>(m, "Spring", "Draws a tip to its place.")
       .def(nb::init<double, double, double>(), "gain"_a, "damping"_a, "limit"_a,
            "[N/m], [N s/m], largest force [N]");
   nb::enum_<WrenchSource>(m, "WrenchSource", "Source of the external wrench.")
       .value("measured", WrenchSource::measured)
       .value("estimated", WrenchSource::estimated)
       .value("none", WrenchSource::none);
-  nb::enum_<Hold>(m, "Hold", "Behaviour of the fingers in contact.")
-      .value("optimized", Hold::optimized, "the force found by the method, continued by Newton")
-      .value("squeeze", Hold::squeeze, "a constant internal force plus the balancing force")
-      .value("place", Hold::place, "no force: every finger holds its place")
-      .value("direct", Hold::direct, "given forces")
-      .value("reach", Hold::reach, "no force: every finger is drawn to its contact");
-  nb::class_<ControlSettings>(m, "ControlSettings", "Object model and gains of a control loop.")
+  nb::enum_<Hold>(m, "Hold", "Behaviour of the fingers in contact: see control_settings.hpp.")
+      .value("optimized", Hold::optimized)
+      .value("squeeze", Hold::squeeze)
+      .value("place", Hold::place)
+      .value("direct", Hold::direct)
+      .value("reach", Hold::reach);
+  nb::class_<ControlSettings>(m, "ControlSettings",
+                              "Object model and gains of a control loop: see control_settings.hpp.")
       .def(nb::init<>())
       .def_rw("body", &ControlSettings::body)
-      .def_rw("reach", &ControlSettings::reach, "(N,) for fingers without contact, on their way")
-      .def_rw("spring", &ControlSettings::spring, "for all fingers while nothing is optimised")
-      .def_rw("reach_depth", &ControlSettings::reach_depth,
-              "[m] below the surface: goal of reaching fingers")
-      .def_rw("posture", &ControlSettings::posture,
-              "(M,) for joints that the tips leave free [N m/rad], [N m s/rad]")
+      .def_rw("reach", &ControlSettings::reach)
+      .def_rw("spring", &ControlSettings::spring)
+      .def_rw("reach_depth", &ControlSettings::reach_depth)
+      .def_rw("posture", &ControlSettings::posture)
       .def(
           "set_follow",
           [](ControlSettings& c, double tolerance, int limit, bool conic) {
@@ -275,66 +270,47 @@ void bind_controller(nb::module_& m) {
                         .limit = limit};
           },
           "tolerance"_a, "limit"_a, "conic"_a = false,
-          "Set the solver of the ticks between two solves of the method, Newton or conic: relative "
-          "certified gap, largest\n"
-          "number of steps.")
-      .def_rw("remembers", &ControlSettings::remembers, "True if the method gets the last command")
-      .def_rw("directions", &ControlSettings::directions,
-              "(N, 3, K) internal forces that an adjustment combines, object frame")
-      .def_rw("squeeze", &ControlSettings::squeeze, "[N] total normal force of `Hold.squeeze`")
-      .def_rw("most_change", &ControlSettings::most_change,
-              "[N] largest change of a force in a tick beyond balance")
-      .def_rw("release", &ControlSettings::release,
-              "ticks without force until a finger no longer counts as in contact");
-  nb::class_<SensorSettings>(m, "SensorSettings", "Delay and noise of the controller's sensors.")
+          "Set the solver between two solves of the method, Newton or conic: relative certified "
+          "gap, most steps.")
+      .def_rw("remembers", &ControlSettings::remembers)
+      .def_rw("directions", &ControlSettings::directions)
+      .def_rw("squeeze", &ControlSettings::squeeze)
+      .def_rw("most_change", &ControlSettings::most_change)
+      .def_rw("release", &ControlSettings::release);
+  nb::class_<SensorSettings>(m, "SensorSettings",
+                             "Delay and noise of the controller's sensors: see sensing.hpp.")
       .def(nb::init<>())
       .def_rw("wrench", &SensorSettings::wrench)
-      .def_rw("tick", &SensorSettings::tick, "[s]")
-      .def_rw("keep", &SensorSettings::keep,
-              "fraction of its value that the estimate keeps over a tick")
-      .def_rw("delay", &SensorSettings::delay, "ticks of delay of everything")
-      .def_rw("wrench_delay", &SensorSettings::wrench_delay,
-              "further ticks of delay of measured wrenches")
-      .def_rw("pose_noise", &SensorSettings::pose_noise, "standard deviation per axis [m]")
-      .def_rw("tactile_noise", &SensorSettings::tactile_noise,
-              "standard deviation per axis, fraction of the force");
-  nb::class_<Effort>(m, "Effort", "Effort of solvers and motors since `begin_step`.")
-      .def_ro("iterations", &Effort::iterations, "accepted steps of the method")
-      .def_ro("trials", &Effort::trials, "all steps tried by the method")
-      .def_ro("followed", &Effort::followed,
-              "iterations of the control ticks between two solves of the method")
-      .def_ro("limited", &Effort::limited,
-              "iterations of Newton within the torque limits, when a force exceeded them")
-      .def_ro("saturated", &Effort::saturated, "True if torques were cut")
-      .def_ro("margin", &Effort::margin, "smallest distance of a torque from its limit [N m]")
-      .def_ro("share", &Effort::share, "largest torque as a fraction of its limit");
-  nb::class_<Costs>(m, "Costs", "Costs of an agent's step, each from 0 to 1.")
-      .def_ro("force", &Costs::force,
-              "fraction of the commanded normal forces above the smallest that balance the wrench; "
-              "1: no force balances it")
-      .def_ro("torque", &Costs::torque, "largest torque of the step as a fraction of its limit")
-      .def_ro("change", &Costs::change,
-              "change of the commanded forces in the step, relative to the forces before and "
-              "after: sums of |components|");
+      .def_rw("tick", &SensorSettings::tick)
+      .def_rw("keep", &SensorSettings::keep)
+      .def_rw("delay", &SensorSettings::delay)
+      .def_rw("wrench_delay", &SensorSettings::wrench_delay)
+      .def_rw("pose_noise", &SensorSettings::pose_noise)
+      .def_rw("tactile_noise", &SensorSettings::tactile_noise);
+  nb::class_<Effort>(m, "Effort",
+                     "Effort of solvers and motors since `begin_step`: see control_settings.hpp.")
+      .def_ro("iterations", &Effort::iterations)
+      .def_ro("trials", &Effort::trials)
+      .def_ro("followed", &Effort::followed)
+      .def_ro("limited", &Effort::limited)
+      .def_ro("saturated", &Effort::saturated)
+      .def_ro("margin", &Effort::margin)
+      .def_ro("share", &Effort::share);
+  nb::class_<Costs>(m, "Costs",
+                    "Costs of an agent's step, each from 0 to 1: see control_settings.hpp.")
+      .def_ro("force", &Costs::force)
+      .def_ro("torque", &Costs::torque)
+      .def_ro("change", &Costs::change);
   using Outcome = Controller::Outcome;
-  nb::class_<Outcome>(m, "Outcome", "Quality of the hold.")
-      .def_ro("drift", &Outcome::drift, "[m] distance from the target position")
-      .def_ro("tilt", &Outcome::tilt, "[rad] angle to the target orientation")
-      .def_ro("force_error", &Outcome::force_error,
-              "largest component of measured - commanded force [N]")
-      .def_ro("slip", &Outcome::slip,
-              "highest tangential speed of a touching tip on the object [m/s]")
-      .def_ro("stray", &Outcome::stray, "force of links on the object [N]")
-      .def_prop_ro(
-          "slide", [](const Outcome& o) { return o.worst.slide; },
-          "largest sliding distance of a touching tip on the object since `reset` [m]")
-      .def_prop_ro(
-          "overlap", [](const Outcome& o) { return o.worst.overlap; },
-          "largest overlap of a tip and the object since `reset` [m]")
-      .def_prop_ro(
-          "stray_share", [](const Outcome& o) { return o.worst.stray; },
-          "largest force of links on the object since `reset`, relative to external force plus "
-          "weight, at least the weight");
+  nb::class_<Outcome>(m, "Outcome", "Quality of the hold: see controller.hpp.")
+      .def_ro("drift", &Outcome::drift)
+      .def_ro("tilt", &Outcome::tilt)
+      .def_ro("force_error", &Outcome::force_error)
+      .def_ro("slip", &Outcome::slip)
+      .def_ro("stray", &Outcome::stray)
+      .def_prop_ro("slide", [](const Outcome& o) { return o.worst.slide; })
+      .def_prop_ro("overlap", [](const Outcome& o) { return o.worst.overlap; })
+      .def_prop_ro("stray_share", [](const Outcome& o) { return o.worst.stray; });
   nb::class_<Controller>(m, "Controller",
                          "The control loop of a hand: from readings to joint torques.")
       .def_static(
@@ -351,22 +327,18 @@ void bind_controller(nb::module_& m) {
           "rewind", [](Controller& c) { c.sensors.reset(); },
           "Reset the sensors to the state before the first tick.")
       .def("see", &see, "reading"_a.none(), "external"_a, "gravity"_a, "target"_a, "noise"_a.none(),
-           "First half of a control tick: observe the scene and find the wrench to balance. Return "
-           "False if the reading is not "
-           "finite\n"
-           "or the object is lost.\n"
-           "reading: as for `Scene.read`; None: the scene has read it already. external: the "
-           "wrench (6,) that a perfect sensor\n"
-           "reports; gravity (3,); target (19,); noise: standard normal numbers (3 + 3N,) if "
-           "anything is noisy.")
+           "First half of a control tick: observe the scene and find the wrench to balance.\n"
+           "Return False if the reading is not finite or the object is lost.\n"
+           "reading: as for `Scene.read`; None: the scene has read it. external: the wrench (6,) "
+           "that a perfect sensor reports;\n"
+           "gravity (3,); target (19,); noise: standard normal numbers (3 + 3N,) if anything is "
+           "noisy.")
       .def("act", &act, "due"_a, "adjustment"_a.none(), "start"_a.none(), "given"_a.none(),
            "Second half of a tick: find forces, and return the joint torques (M,) [N m] that "
-           "produce them. due: True if an "
-           "agent's step\n"
-           "begins, with adjustment (K,) [N] of the start. start: (N, 3) [N], contact frames, "
-           "start of the method; given: (N, "
-           "3) [N],\n"
-           "contact frames, forces for `Hold.direct`.")
+           "produce them.\n"
+           "due: True if an agent's step begins, with adjustment (K,) [N] of the start. start: (N, "
+           "3) [N], contact frames,\n"
+           "start of the method; given: (N, 3) [N], contact frames, forces for `Hold.direct`.")
       .def_rw("hold", &Controller::hold, "Behaviour of the fingers in contact.")
       .def("begin_step", &Controller::begin_step, "Begin an agent's step.")
       .def_ro("effort", &Controller::effort)
@@ -381,12 +353,12 @@ void bind_controller(nb::module_& m) {
            "Set the measured forces as commanded ones, for a hand at rest.")
       .def("outcome", &outcome, "target"_a, "error"_a, "measured"_a,
            "Return the outcome from the true state; write the pose error (12,) against a target "
-           "(19,), and the measured forces\n"
-           "(N, 3) in the commanded contact frames [N].")
+           "(19,), and the\n"
+           "measured forces (N, 3) in the commanded contact frames [N].")
       .def("step_info", &step_info, "outcome"_a, "measured"_a,
            "Return the report of a step by name: the method's solution, contacts, forces [N], "
-           "effort, and an outcome with its\n"
-           "measured forces (N, 3). The arrays are copies.")
+           "effort, and an\n"
+           "outcome with its measured forces (N, 3). The arrays are copies.")
       .def("arrays", &arrays, "Views of the commands by name; overwritten in place.")
       .def("seen", &seen, "Views of the observed state by name; overwritten in place.")
       .def_prop_rw(

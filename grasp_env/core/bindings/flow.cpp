@@ -29,25 +29,24 @@ Form form_of(const std::string& name, const Contacts& contacts) {
   return Form::full;
 }
 
-// Run a flow in the given form from a force (N, 3).
 int descend(const Contacts& contacts, const char* name, const Options& options, nb::handle wrench,
             const OwnRequest& request, nb::handle record) {
   const Form form = form_of(name, contacts);
   const int count = contacts.count;
   const Numbers load = in(wrench, 6);
   const Numbers row = out(record, record_size(count));
-  const Request& ask = request.request;
-  if (ask.force.size() != std::size_t(3 * count)) throw nb::type_error("expected a force (N, 3)");
+  const Request& start = request.request;
+  if (start.force.size() != std::size_t(3 * count)) throw nb::type_error("expected a force (N, 3)");
   const Call call{.wrench = load.data(),
                   .stop = {options.gap(), options.limit},
-                  .optimum = ask.optimum,
-                  .trace = ask.trace.data(),
-                  .traced = int(ask.trace.size())};
+                  .optimum = start.optimum,
+                  .trace = start.trace.data(),
+                  .traced = int(start.trace.size())};
   Code code = REFUSED;
   dispatch(count, [&]<class V, int B>() {
     NewtonSolver<V, B> on(count);
     on.cones.pack(contacts);
-    on.cones.load_force(ask.force.data(), on.x);
+    on.cones.load_force(start.force.data(), on.x);
     const Vec6 w = on.cones.unit.of(load.data());
     FlowSolver<V, B> flow(on.cones, options.step_rule, form);
     if (is_valid_wrench(load.data()) && on.is_start(w) && flow.place(on.cones))

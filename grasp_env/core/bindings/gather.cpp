@@ -20,11 +20,9 @@ class Gather {
     if (bound_.size() != size) throw nb::type_error("expected a float32 bound for each number");
   }
   nb::object operator()() const {
-    npy_intp size = bound_.size();
-    nb::object row = nb::steal(PyArray_SimpleNew(1, &size, NPY_FLOAT));
-    if (!row) throw nb::python_error();
+    nb::object row = new_row(npy_intp(bound_.size()), NPY_FLOAT);
     const float* bound = bound_.data();
-    float* to = static_cast<float*>(PyArray_DATA(reinterpret_cast<PyArrayObject*>(row.ptr())));
+    float* to = data_of<float>(row.ptr());
     for (const Part& part : parts_)
       for (std::size_t k = 0; k < part.size(); ++k, ++bound, ++to)
         *to = std::min(std::max(float(part.data()[k]), -*bound), *bound);

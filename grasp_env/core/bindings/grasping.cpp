@@ -26,16 +26,16 @@ Limb make_line(int link, const Three& start, const Three& end, double radius, bo
 Limb make_solid(int link, const std::string& kind, const Three& half, const Three& center,
                 const Nine& rotation, nb::handle corners, bool tip) {
   const Rotation frame = Rotation::from(rotation.data());
-  const Numbers each = in(corners, -1, 3);
+  const Numbers rows = in(corners, -1, 3);
   if (kind == "box" || kind == "cylinder")
     return {link,
             Solid::of(kind == "box" ? Solid::Core::box : Solid::Core::cylinder, point(half.data()),
                       0.0, point(center.data()), frame),
             tip};
-  if (kind != "hull" || each.length(0) < 4)
+  if (kind != "hull" || rows.length(0) < 4)
     throw nb::value_error("kind must be box, cylinder or hull; a hull needs corners");
   std::vector<Point> points;
-  for (Py_ssize_t k = 0; k < each.length(0); ++k) points.push_back(point(each.data() + 3 * k));
+  for (Py_ssize_t k = 0; k < rows.length(0); ++k) points.push_back(point(rows.data() + 3 * k));
   return {link,
           Solid::hull(std::make_shared<const std::vector<Point>>(std::move(points)),
                       point(center.data()), frame),
@@ -61,12 +61,11 @@ std::shared_ptr<HandLimbs> make_hand(const std::shared_ptr<Tree>& tree,
                                      in(home, tree->joints()).data());
 }
 
-// Smallest distances [m] of links (-1: the palm) in a posture, for every pair that is not of one
-// joint: (link, link, distance).
 std::vector<std::tuple<int, int, double>> link_gaps(const HandLimbs& hand, nb::handle angles,
                                                     double enough) {
-  const Numbers given = in(angles, hand.tree->joints());
-  std::vector<double> there(given.data(), given.data() + hand.tree->joints());
+  const int joints = hand.tree->joints();
+  const Numbers numbers = in(angles, joints);
+  std::vector<double> there(numbers.data(), numbers.data() + joints);
   hand.tree->couple(there.data());
   Posture posture(hand.tree);
   posture.trace(there.data());
@@ -87,22 +86,23 @@ std::vector<std::tuple<int, int, double>> link_gaps(const HandLimbs& hand, nb::h
 
 void beside(const HandLimbs& hand, int finger, nb::handle angles, nb::handle middles, double enough,
             nb::handle gaps) {
-  if (finger < 0 || finger >= int(hand.fingers.size())) throw nb::value_error("no such finger");
+  check_index(finger, hand.fingers.size(), "no such finger");
   const int joints = hand.tree->joints();
-  const Numbers given = in(angles, -1, joints);
-  const Numbers points = in(middles, given.length(0), 3);
-  const Numbers to = out(gaps, given.length(0));
+  const Numbers postures = in(angles, -1, joints);
+  const Numbers points = in(middles, postures.length(0), 3);
+  const Numbers to = out(gaps, postures.length(0));
   Posture posture(hand.tree);
-  for (Py_ssize_t k = 0; k < given.length(0); ++k) {
-    posture.trace(given.data() + joints * k);
+  for (Py_ssize_t k = 0; k < postures.length(0); ++k) {
+    posture.trace(postures.data() + joints * k);
     to.data()[k] = hand.beside(finger, posture, point(points.data() + 3 * k), enough);
   }
 }
 
 std::vector<Vec6> sixes(nb::handle rows) {
-  const Numbers given = in(rows, -1, 6);
-  std::vector<Vec6> out(given.length(0));
-  for (std::size_t r = 0; r < out.size(); ++r) std::copy_n(given.data() + 6 * r, 6, out[r].begin());
+  const Numbers numbers = in(rows, -1, 6);
+  std::vector<Vec6> out(numbers.length(0));
+  for (std::size_t r = 0; r < out.size(); ++r)
+    std::copy_n(numbers.data() + 6 * r, 6, out[r].begin());
   return out;
 }
 
@@ -117,7 +117,7 @@ GraspSearch make(const std::shared_ptr<HandLimbs>& hand, const Surface& surface,
 
 int fill(GraspSearch& search, int finger, nb::handle draws, const Row& spread,
          const std::array<double, 4>& margins, int most) {
-  if (finger < 0 || finger >= int(search.pools.size())) throw nb::value_error("no such finger");
+  check_index(finger, search.groups.size(), "no such finger");
   std::vector<Ray> from;
   for (const Vec6& draw : sixes(draws)) {
     double ray[6];
@@ -129,12 +129,12 @@ int fill(GraspSearch& search, int finger, nb::handle draws, const Row& spread,
 
 int choose(GraspSearch& search, const std::vector<std::vector<int>>& picks, nb::handle forces,
            nb::handle points, nb::handle normals, nb::handle choices) {
-  const std::size_t fingers = search.pools.size();
+  const std::size_t fingers = search.groups.size();
   for (const auto& row : picks)
-    if (row.size() != fingers || std::any_of(row.begin(), row.end(), [](int k) { return k < 0; }))
+    if (row.size() != fingers || std::ranges::any_of(row, [](int k) { return k < 0; }))
       throw nb::value_error("picks must be numbers >= 0, one per finger");
-  for (const auto& pool : search.pools)
-    if (pool.empty()) throw nb::value_error("a finger has no places");
+  for (const auto& places : search.groups)
+    if (places.empty()) throw nb::value_error("a finger has no places");
   const Numbers f = out(forces, -1);
   const Numbers p = out(points, f.length(0), fingers, 3);
   const Numbers n = out(normals, f.length(0), fingers, 3);
@@ -143,7 +143,7 @@ int choose(GraspSearch& search, const std::vector<std::vector<int>>& picks, nb::
   for (std::size_t r = 0; r < chosen.size(); ++r) {
     f.data()[r] = chosen[r].force;
     for (std::size_t i = 0; i < fingers; ++i) {
-      const Place& place = search.pools[i][chosen[r].choice[i]];
+      const Place& place = search.groups[i][chosen[r].choice[i]];
       c.data()[fingers * r + i] = chosen[r].choice[i];
       for (int k = 0; k < 3; ++k) {
         p.data()[3 * (fingers * r + i) + k] = place.point[k];
@@ -156,11 +156,10 @@ int choose(GraspSearch& search, const std::vector<std::vector<int>>& picks, nb::
 
 int assemble(GraspSearch& search, const std::vector<int>& choice, double clearance,
              nb::handle angles, nb::handle start) {
-  if (choice.size() != search.pools.size())
+  if (choice.size() != search.groups.size())
     throw nb::value_error("choice must be one place per finger");
   for (std::size_t i = 0; i < choice.size(); ++i)
-    if (choice[i] < 0 || choice[i] >= int(search.pools[i].size()))
-      throw nb::value_error("no such place");
+    check_index(choice[i], search.groups[i].size(), "no such place");
   const Numbers there = out(angles, -1);
   return int(search.assemble(choice, clearance, there.data(), out(start, there.length(0)).data()));
 }
@@ -175,8 +174,8 @@ void bind_grasping(nb::module_& m) {
       .def_static("solid", &make_solid, nb::kw_only(), "link"_a, "kind"_a, "half"_a, "center"_a,
                   "rotation"_a, "corners"_a, "tip"_a,
                   "kind: box, half its sides; cylinder about z, radius, radius and half its "
-                  "height; hull, (K, 3) corners relative to\n"
-                  "a point inside [m]. center [m] and rotation (9,), link frame.");
+                  "height; hull, (K, 3) corners\n"
+                  "relative to a point inside [m]. center [m] and rotation (9,), link frame.");
   nb::class_<HandLimbs>(m, "HandLimbs", "The limbs of a hand, and its fingers as separate trees.")
       .def_static("make", &make_hand, "tree"_a, "limbs"_a, "home"_a, "together"_a = Pairs{},
                   "home (M,) [rad]: start of the inverse kinematics; together: pairs of links that "
@@ -199,18 +198,16 @@ void bind_grasping(nb::module_& m) {
           },
           "surface"_a, "angles"_a, "enough"_a = infinity,
           "Return the smallest distances [m] at angles (M,), at most `enough`: of the links, "
-          "without the spheres of\n"
-          "fingertips, from an object; of links and tips from one another.")
+          "without the tips' spheres, from\n"
+          "an object; of links and tips from one another.")
       .def("link_gaps", &link_gaps, "angles"_a, "enough"_a,
            "Return the pairs of limbs of different links, not of one joint, at most `enough` apart "
-           "[m]: (link, link, "
-           "distance).\n"
-           "Coupled joints follow their drivers.")
+           "[m]:\n"
+           "(link, link, distance). Coupled joints follow their drivers.")
       .def("beside", &beside, "finger"_a, "angles"_a, "middles"_a, "enough"_a, "gaps"_a,
            "Write (K,) distances, at most `enough` [m], of the rest of a finger and the palm in "
-           "postures (K, M) from balls "
-           "about\n"
-           "`middles` (K, 3) that touch its tip.")
+           "postures (K, M) from balls\n"
+           "about `middles` (K, 3) that touch its tip.")
       .def_prop_ro(
           "free",
           [](const HandLimbs& hand) {
@@ -229,13 +226,10 @@ void bind_grasping(nb::module_& m) {
                           "A search for contacts with which a hand holds an object.")
       .def_static("make", &make, "hand"_a, "surface"_a, nb::kw_only(), "friction"_a, "torsion"_a,
                   "length"_a, "space"_a, "start"_a, "gravity"_a, "loads"_a, "directions"_a,
-                  "loads: (L, 6) wrenches that the contacts must make, (force, moment / length) "
-                  "[N]; directions: (D, 6) for comparing\n"
-                  "places; length, space between fingers, torsion (moment about the normal over "
-                  "normal force), start (gap of the tips\n"
-                  "before they close) [m]; gravity (3,) [m/s^2].")
+                  "The members of `grasp::Demand`, see planner/place.hpp, with loads (L, 6); "
+                  "directions: (D, 6) to compare places.")
       .def("fill", &fill, "finger"_a, "draws"_a, "spread"_a, "margins"_a, "most"_a,
-           "Refill the pool of places of a finger and return their number.\n"
+           "Find places of a finger anew and return their number.\n"
            "draws: (S, 6) in [0, 1); (draws - 1/2) * spread (6,) gives the start inside the object "
            "[m] and the offset of the\n"
            "direction towards the finger.\n"
@@ -260,9 +254,8 @@ void bind_grasping(nb::module_& m) {
           "without room to start, with too little push along the normal.")
       .def("assemble", &assemble, "choice"_a, "clearance"_a, "angles"_a, "start"_a,
            "Write the angles (M,) of the whole hand at a choice of places, and before it closes, "
-           "as far as they exist. Return "
-           "0,\n"
-           "or the fault: 1 a link nearer to the object than `clearance` [m], 2 links touch, 3 no "
-           "start, 4 and 5 as 1 and 2 at\n"
-           "the start, 6 fingers of one motor do not touch together.");
+           "as far as they exist. Return\n"
+           "0, or the fault: 1 a link nearer to the object than `clearance` [m], 2 links touch, 3 "
+           "no start, 4 and 5 as 1 and 2\n"
+           "at the start, 6 fingers of one motor do not touch together.");
 }

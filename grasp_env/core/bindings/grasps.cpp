@@ -24,9 +24,9 @@ void check_first(const Numbers& first, Py_ssize_t grasps, Py_ssize_t many) {
 template <Solve solve, Start start>
 void solve_contacts(nb::list contacts, nb::handle weights, nb::handle first,
                     std::pair<double, int> stop, nb::handle wrenches, nb::handle records) {
-  const Numbers price = in(weights, -1, 2);
+  const Numbers omega_lambda = in(weights, -1, 2);
   const Numbers loads = in(wrenches, -1, 6);
-  const Py_ssize_t count = price.length(0);
+  const Py_ssize_t count = omega_lambda.length(0);
   const Py_ssize_t many = loads.length(0);
   const Py_ssize_t grasps = Py_ssize_t(contacts.size());
   const Numbers begins = in(first, grasps + 1);
@@ -34,18 +34,18 @@ void solve_contacts(nb::list contacts, nb::handle weights, nb::handle first,
   check_first(begins, grasps, many);
   std::vector<const Contacts*> placed;
   placed.reserve(grasps);
-  for (const nb::handle each : contacts) {
+  for (const nb::handle object : contacts) {
     const Contacts* one = nullptr;
-    if (!nb::try_cast(each, one) || !one || one->count != count)
+    if (!nb::try_cast(object, one) || !one || one->count != count)
       throw nb::type_error("contacts must have N contacts each");
     placed.push_back(one);
   }
-  const Grasps given(int(count), grasps, placed.data(), price.data(), begins.data());
+  const Grasps problems(int(count), grasps, placed.data(), omega_lambda.data(), begins.data());
   const int size = record_size(int(count));
   const int whole = record_size(int(count), 0, 0);
   nb::gil_scoped_release free;
   std::vector<double> answers(size * many);
-  solve(given, {stop.first, stop.second}, {many, loads.data(), answers.data()});
+  solve(problems, {stop.first, stop.second}, {many, loads.data(), answers.data()});
   for (Py_ssize_t u = 0; u < grasps; ++u)
     for (auto k = Py_ssize_t(begins.data()[u]); k < Py_ssize_t(begins.data()[u + 1]); ++k) {
       double* row = std::copy_n(&answers[size * k], size, rows.data() + whole * k) - size;

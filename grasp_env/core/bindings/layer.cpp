@@ -29,20 +29,17 @@ enum Place {
 };
 
 // Problems with any leading dimensions, read in place. The inputs have the order of `FORCE_INPUTS`,
-// with or without a start: tensors or arrays on the CPU, float64 or float32, whose leading
-// dimensions broadcast; numbers for all contacts or joints; or None.
+// with or without a start.
 class Problems {
  public:
   using Range = std::pair<Py_ssize_t, Py_ssize_t>;  // the first problem, and the one after the last
   ForceBatch batch;
   bool float32 = true;  // no tensor with dimensions is float64
 
-  // Return null for a type or a layout that cannot be read in place; the caller converts it or
-  // reports an error.
-  static Problems* of(nb::tuple given, Py_ssize_t most_contacts, Py_ssize_t most_joints) {
-    if (given.size() != INPUTS && given.size() != INPUTS + 1)
+  static Problems* of(nb::tuple inputs, Py_ssize_t most_contacts, Py_ssize_t most_joints) {
+    if (inputs.size() != INPUTS && inputs.size() != INPUTS + 1)
       throw nb::type_error("expected 13 tensors, and optionally a start");
-    std::unique_ptr<Problems> problems(new Problems(given));
+    std::unique_ptr<Problems> problems(new Problems(inputs));
     return problems->take(most_contacts, most_joints) ? problems.release() : nullptr;
   }
   Py_ssize_t size() const { return batch.size; }
@@ -69,8 +66,6 @@ class Problems {
     optimal_forces(chosen, {stop.first, stop.second},
                    {forces[from], turns[from], multipliers[from], facts[from], states[from]});
   }
-  // state: from `solve`. losses: the derivatives of a loss with respect to force, torsion and
-  // multipliers, None: zero. gradients: arrays in the order of the inputs, or None.
   void differentiate(Range range, nb::handle state, nb::tuple losses, bool elastic,
                      nb::tuple gradients) const {
     const auto [from, to] = range;
@@ -99,7 +94,7 @@ class Problems {
   }
 
  private:
-  explicit Problems(nb::tuple given) : given_(given) {}
+  explicit Problems(nb::tuple inputs) : inputs_(inputs) {}
 
   ForceBatch part(Py_ssize_t from, Py_ssize_t to) const {
     if (from < 0 || to < from || to > size())
@@ -108,9 +103,9 @@ class Problems {
   }
 
   bool take(Py_ssize_t most_contacts, Py_ssize_t most_joints) {
-    const std::size_t many = given_.size();
+    const std::size_t many = inputs_.size();
     for (std::size_t k = 0; k < many; ++k)
-      if (!tensors_[k].view(given_[k])) return false;
+      if (!tensors_[k].view(inputs_[k])) return false;
     const Tensor& positions = tensors_[POSITIONS];
     const Tensor& jacobian = tensors_[JACOBIAN];
     if (positions.dimensions < 2 || jacobian.given != tensors_[TORQUE_LIMIT].given ||
@@ -125,43 +120,33 @@ class Problems {
     batch.contacts = int(n);
     batch.joints = int(joints);
     batch.jacobian_rows = int(motions);
-    rows_ = {{{n, 3},
-              {n, 3},
-              {n, 2},
-              {n, 3},
-              {n},
-              {6},
-              {n, motions, joints},
-              {joints},
-              {joints},
-              {n},
-              {n},
-              {n},
-              {n},
-              {n, 3}}};
+    using Row = Tensor::Row;
+    rows_ = {
+        Row(n, 3),   Row(n, 3),   Row(n, 2), Row(n, 3), Row(n), Row(6), Row(n, motions, joints),
+        Row(joints), Row(joints), Row(n),    Row(n),    Row(n), Row(n), Row(n, 3)};
 
     Tensor& friction = tensors_[FRICTION];
     const bool one_each = !friction.ends_in(rows_[FRICTION]) && friction.ends_in({n});
     if (friction.given && one_each && !friction.repeat(2)) return false;
     for (std::size_t k = 0; k < many; ++k) {
-      const Tensor& each = tensors_[k];
+      const Tensor& tensor = tensors_[k];
       const bool needed = k == POSITIONS || k == NORMALS || k == FRICTION || k == WRENCH ||
                           k == FORCE_WEIGHT || k == BARRIER_WEIGHT;
       const bool vectors = k == POSITIONS || k == NORMALS || k == TANGENTS || k == WRENCH ||
                            k == JACOBIAN || k == START;
-      if (!each.given && !needed) continue;
-      if (!each.given || (each.number && vectors) || !each.ends_in(rows_[k])) return false;
-      float32 = float32 && (each.number || each.float32);
-      if (!broadcast(each.shape, each.leading(rows_[k]))) return false;
+      if (!tensor.given && !needed) continue;
+      if (!tensor.given || (tensor.number && vectors) || !tensor.ends_in(rows_[k])) return false;
+      float32 = float32 && (tensor.number || tensor.float32);
+      if (!broadcast(tensor.shape, tensor.leading(rows_[k]))) return false;
     }
     batch.size = 1;
     for (int a = 0; a < leading_; ++a) batch.size *= lead_[a];
     if (batch.size < 1) return false;
     for (std::size_t k = 0; k < many; ++k) {
-      Tensor& each = tensors_[k];
-      if (!each.given) continue;
-      if (each.leading(rows_[k]) > 0) each.expand(rows_[k], lead_, leading_);
-      batch.*FORCE_INPUTS[k] = each.slices(rows_[k], batch.size);
+      Tensor& tensor = tensors_[k];
+      if (!tensor.given) continue;
+      if (tensor.leading(rows_[k]) > 0) tensor.expand(rows_[k], lead_, leading_);
+      batch.*FORCE_INPUTS[k] = tensor.slices(rows_[k], batch.size);
     }
     return true;
   }
@@ -183,7 +168,7 @@ class Problems {
     return true;
   }
 
-  nb::tuple given_;  // keeps the inputs alive
+  nb::tuple inputs_;  // keeps them alive
   std::array<Tensor, INPUTS + 1> tensors_;
   std::array<Tensor::Row, INPUTS + 1> rows_;
   Tensor::Lengths lead_{};
@@ -202,10 +187,9 @@ void bind_layer(nb::module_& m) {
                        "The inputs are positions, normals, friction, tangents, torsional friction, "
                        "wrench, jacobian, torque limit,\n"
                        "torque bias, smallest and largest normal force, omega, lambda, and "
-                       "optionally a start. Each is a tensor or\n"
-                       "an array on the CPU, float64 or float32, whose leading dimensions "
-                       "broadcast; a number for all contacts or\n"
-                       "joints; or None.")
+                       "optionally a start: float64 or float32\n"
+                       "tensors or arrays on the CPU, whose leading dimensions broadcast; numbers "
+                       "for all contacts or joints; or None.")
       .def_static(
           "of", &Problems::of, "given"_a, "most_contacts"_a, "most_joints"_a,
           nb::rv_policy::take_ownership,
@@ -216,18 +200,18 @@ void bind_layer(nb::module_& m) {
       .def_prop_ro("lead", &Problems::lead, "Leading dimensions.")
       .def_prop_ro("size", &Problems::size, "Product of the leading dimensions.")
       .def_prop_ro("contacts", &Problems::contacts)
-      .def_prop_ro("joints", [](const Problems& made) { return made.batch.joints; })
-      .def_prop_ro("jacobian_rows", [](const Problems& made) { return made.batch.jacobian_rows; })
+      .def_prop_ro("joints", [](const Problems& problems) { return problems.batch.joints; })
+      .def_prop_ro("jacobian_rows",
+                   [](const Problems& problems) { return problems.batch.jacobian_rows; })
       .def_ro("float32", &Problems::float32, "True if no tensor with dimensions is float64.")
       .def("solve", &Problems::solve, "range"_a, "stop"_a, "results"_a,
-           "Write the optimal forces of a range of problems (first, last + 1) into arrays for all "
-           "problems: force, torsion,\n"
-           "multipliers, facts and state, see `BatchForces`. stop: relative gap, and largest "
-           "number of steps. Releases the GIL.")
-      .def(
-          "differentiate", &Problems::differentiate, "range"_a, "state"_a, "losses"_a, "elastic"_a,
-          "gradients"_a,
-          "Write the gradients of a loss with respect to the inputs, into arrays or None, in the "
-          "inputs' order. losses: its\n"
-          "derivatives with respect to force, torsion and multipliers, or None. Releases the GIL.");
+           "Write the optimal forces of the problems first to last, range (first, last + 1), into "
+           "arrays for all problems:\n"
+           "force, torsion, multipliers, facts and state, see `BatchForces`. stop: relative gap, "
+           "most steps. Releases the GIL.")
+      .def("differentiate", &Problems::differentiate, "range"_a, "state"_a, "losses"_a, "elastic"_a,
+           "gradients"_a,
+           "Write the gradients of a loss by the inputs into arrays, in their order, or None. "
+           "losses: its derivatives by force,\n"
+           "torsion and multipliers; None: zero. Releases the GIL.");
 }

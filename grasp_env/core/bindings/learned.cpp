@@ -10,9 +10,8 @@ using namespace grasp;
 
 namespace {
 
-// Convert weights from the float64 of all arrays to the float32 in which networks keep them.
-std::vector<float> singles(const Numbers& from, size_t count) {
-  std::vector<float> out(from.data(), from.data() + count);
+std::vector<float> singles(const Numbers& from) {
+  std::vector<float> out(from.numbers().begin(), from.numbers().end());
   for (const float v : out)
     if (!(std::abs(v) <= std::numeric_limits<float>::max()))
       throw nb::value_error("weights must be finite in float32");
@@ -24,7 +23,7 @@ Network make_network(const std::vector<int>& sizes, nb::handle weights) {
   if (!count)
     throw nb::value_error(
         "a network must have 1 to MOST_STAGES stages, each with 1 to WIDEST numbers");
-  return Network(sizes, singles(in(weights, count), count).data());
+  return Network(sizes, singles(in(weights, count)).data());
 }
 
 Model make_model(const Network& network, const Network& pairs) {
@@ -46,7 +45,7 @@ void normalise(Model& model, double floor, double smoothing, double log_mean, do
 
 void place(Model& model, nb::handle null_space, double friction, double scale, double largest) {
   const Numbers columns = in(null_space, -1, -1);
-  model.null_space.assign(columns.data(), columns.data() + columns.length(0) * columns.length(1));
+  model.null_space.assign(columns.numbers().begin(), columns.numbers().end());
   model.friction = friction;
   model.scale = scale;
   model.largest = largest;
@@ -66,8 +65,7 @@ Vec6 vector(nb::handle wrench) {
 bool covers(const Model& model, nb::handle wrench) { return model.covers(vector(wrench)); }
 
 void predict(Model& model, nb::handle wrench, nb::handle coordinates) {
-  const Numbers to = out(coordinates, model.network.outputs());
-  model.predict(vector(wrench), std::span(to.data(), std::size_t(to.length(0))));
+  model.predict(vector(wrench), out(coordinates, model.network.outputs()).numbers());
 }
 
 }  // namespace

@@ -1,5 +1,4 @@
-// `grasp::ForceOptimizer`. Control loops call `solve`: it reads arrays in place and makes its
-// solution without running Python.
+// `grasp::ForceOptimizer`. `solve` reads arrays in place and makes its solution without Python.
 #include "optimizer.hpp"
 
 #include <grasp/many/basis.hpp>
@@ -16,8 +15,7 @@ using grasp::Doubles;
 using grasp::Record;
 using grasp::Request;
 
-// The numbers of an array that can be read in place. Subclasses are left to Python: a masked array,
-// for one, hides some of its numbers.
+// The numbers of an array that can be read in place; subclasses may hide some, as masked arrays do.
 class ArrayArgument {
  public:
   explicit ArrayArgument(PyObject* object) : given_(object != Py_None) {
@@ -25,7 +23,6 @@ class ArrayArgument {
     PyArrayObject* array = reinterpret_cast<PyArrayObject*>(object);
     if (PyArray_TYPE(array) == NPY_DOUBLE && PyArray_ISCARRAY_RO(array)) array_ = array;
   }
-  // True if the array has this shape.
   bool has(std::initializer_list<npy_intp> shape) const {
     return array_ && PyArray_NDIM(array_) == int(shape.size()) &&
            std::equal(shape.begin(), shape.end(), PyArray_DIMS(array_));
@@ -45,10 +42,6 @@ class ArrayArgument {
   bool given_;
 };
 
-double* data(const nb::object& array) {
-  return static_cast<double*>(PyArray_DATA(reinterpret_cast<PyArrayObject*>(array.ptr())));
-}
-
 // The class of C++, with the class and the names of its solutions in Python.
 class ForceOptimizer : public grasp::ForceOptimizer {
  public:
@@ -63,13 +56,11 @@ class ForceOptimizer : public grasp::ForceOptimizer {
         names_(names),
         last_names_(names) {}
 
-  // Solve, and return a new solution with the constructor's names.
-  nb::object solved(const Request& ask) {
-    const Record& record = solve(ask);
+  nb::object solved(const Request& request) {
+    const Record& record = solve(request);
     if (record.has_force() && last_names_.ptr() != names_.ptr()) last_names_ = names_;
     return solution(record, names_);
   }
-  // The last solution with a force, or None.
   nb::object last() {
     const std::optional<Record> record = previous();
     return record ? solution(*record, last_names_) : nb::none();
@@ -79,33 +70,26 @@ class ForceOptimizer : public grasp::ForceOptimizer {
     if (taken) last_names_ = names_of(solution);
     return taken;
   }
-  // Return a new solution with the numbers of a row and the constructor's names.
   nb::object solution(const nb::object& row) const { return solution(row, names_); }
-  static nb::object new_row(npy_intp length) {
-    nb::object row = nb::steal(PyArray_SimpleNew(1, &length, NPY_DOUBLE));
-    if (!row) throw nb::python_error();
-    return row;
-  }
 
-  // Read wrench and changes in place. Return false if one is not a C-contiguous float64 array of
-  // the right shape.
-  bool read(nb::handle wrench, nb::handle changes, Request& ask) {
+  // Read wrench and changes in place. Return false if one cannot be read.
+  bool read(nb::handle wrench, nb::handle changes, Request& request) {
     const ArrayArgument load(wrench.ptr());
     if (!load.has({6})) return false;
-    ask.wrench = load.data();
-    return changes.is_none() || read(changes, ask.now);
+    request.wrench = load.data();
+    return changes.is_none() || read(changes, request.now);
   }
   bool read(nb::handle changes, Changes& now) {
     enum { POSITIONS, NORMALS, FRICTION, JACOBIAN, TORQUE_BIAS, CONTACTS, ALL };
     if (!PyTuple_Check(changes.ptr()) || PyTuple_GET_SIZE(changes.ptr()) != ALL)
       throw nb::type_error(
           "expected positions, normals, friction, jacobian, torque_bias and contacts");
-    const auto given = [&](int which) { return PyTuple_GET_ITEM(changes.ptr(), which); };
-    return ArrayArgument(given(POSITIONS)).take({count, 3}, now.positions) &&
-           ArrayArgument(given(NORMALS)).take({count, 3}, now.normals) &&
-           ArrayArgument(given(TORQUE_BIAS)).take({joints}, now.torque_bias) &&
-           read_friction(given(FRICTION), now) && read_jacobian(given(JACOBIAN), now) &&
-           read_contacts(given(CONTACTS), now);
+    const auto item = [&](int which) { return PyTuple_GET_ITEM(changes.ptr(), which); };
+    return ArrayArgument(item(POSITIONS)).take({count, 3}, now.positions) &&
+           ArrayArgument(item(NORMALS)).take({count, 3}, now.normals) &&
+           ArrayArgument(item(TORQUE_BIAS)).take({joints}, now.torque_bias) &&
+           read_friction(item(FRICTION), now) && read_jacobian(item(JACOBIAN), now) &&
+           read_contacts(item(CONTACTS), now);
   }
 
  private:
@@ -114,7 +98,7 @@ class ForceOptimizer : public grasp::ForceOptimizer {
 
   nb::object solution(const Record& record, const nb::object& names) const {
     nb::object row = new_row(record.size());
-    std::copy_n(&record.summary().code, record.size(), data(row));
+    std::copy_n(&record.summary().code, record.size(), data_of<double>(row.ptr()));
     return solution(row, names);
   }
   nb::object solution(const nb::object& row, const nb::object& names) const {
@@ -123,27 +107,27 @@ class ForceOptimizer : public grasp::ForceOptimizer {
     return result;
   }
 
-  bool read_friction(PyObject* given, Changes& now) {
-    if (given == Py_None) return true;
-    if (PyFloat_CheckExact(given)) {
-      friction_ = PyFloat_AsDouble(given);
+  bool read_friction(PyObject* object, Changes& now) {
+    if (object == Py_None) return true;
+    if (PyFloat_CheckExact(object)) {
+      friction_ = PyFloat_AsDouble(object);
       now.friction = {&friction_, 1};
       return true;
     }
-    const ArrayArgument array(given);
+    const ArrayArgument array(object);
     if (!array.has({count}) && !array.has({count, 2})) return false;
     now.friction = array.numbers();
     return true;
   }
-  bool read_jacobian(PyObject* given, Changes& now) const {
-    const ArrayArgument array(given);
+  bool read_jacobian(PyObject* object, Changes& now) const {
+    const ArrayArgument array(object);
     return array.take({count, 3, joints}, now.jacobian) ||
            array.take({count, 6, joints}, now.jacobian);
   }
-  bool read_contacts(PyObject* given, Changes& now) const {
-    if (given == Py_None) return true;
-    if (!PyArray_CheckExact(given)) return false;
-    PyArrayObject* which = reinterpret_cast<PyArrayObject*>(given);
+  bool read_contacts(PyObject* object, Changes& now) const {
+    if (object == Py_None) return true;
+    if (!PyArray_CheckExact(object)) return false;
+    PyArrayObject* which = reinterpret_cast<PyArrayObject*>(object);
     if (PyArray_TYPE(which) != NPY_BOOL || PyArray_NDIM(which) != 1 ||
         PyArray_DIM(which, 0) != count || count > 64)
       return false;
@@ -163,18 +147,18 @@ void make(ForceOptimizer* self, const OwnProblem& problem, const grasp::Options&
 
 nb::object solve(ForceOptimizer& on, nb::handle wrench, nb::handle changes,
                  const OwnRequest* request) {
-  Request ask{};
-  if (request) ask = request->request;
-  if (!on.read(wrench, changes, ask)) return nb::borrow(Py_NotImplemented);
-  return on.solved(ask);
+  Request call{};
+  if (request) call = request->request;
+  if (!on.read(wrench, changes, call)) return nb::borrow(Py_NotImplemented);
+  return on.solved(call);
 }
 
 nb::object start(ForceOptimizer& on, nb::handle wrench, nb::handle changes,
                  const OwnRequest& request) {
-  Request ask = request.request;
-  if (!on.read(wrench, changes, ask)) return nb::borrow(Py_NotImplemented);
-  nb::object row = on.new_row(on.size());
-  on.start(ask, data(row));
+  Request call = request.request;
+  if (!on.read(wrench, changes, call)) return nb::borrow(Py_NotImplemented);
+  nb::object row = new_row(on.size());
+  on.start(call, data_of<double>(row.ptr()));
   return on.solution(row);
 }
 
@@ -186,18 +170,17 @@ bool update(ForceOptimizer& on, nb::handle changes) {
 
 void solve_many(const ForceOptimizer& on, nb::handle wrenches, nb::handle rows) {
   const Numbers loads = in(wrenches, -1, 6);
-  const std::size_t many = loads.length(0);
-  const Numbers to = out(rows, Py_ssize_t(many), on.size());
+  const Numbers to = out(rows, loads.length(0), on.size());
   grasp::ForceOptimizer own = on;  // copied while the GIL still protects it
   nb::gil_scoped_release free;
-  own.solve_many({loads.data(), 6 * many}, {to.data(), many * own.size()});
+  own.solve_many(loads.numbers(), to.numbers());
 }
 
 void times(ForceOptimizer& on, nb::handle wrenches, int passes, nb::handle rows, nb::handle best) {
   time_calls(wrenches, passes, on.size(), rows, best, [&](const double* wrench, double* row) {
-    Request ask{};
-    ask.wrench = wrench;
-    on.solve(ask, row);
+    Request call{};
+    call.wrench = wrench;
+    on.solve(call, row);
   });
 }
 
@@ -208,21 +191,19 @@ nb::typed<nb::tuple, int, int, double> deepest(ForceOptimizer& on, nb::handle wr
   const Numbers to = out(force, on.count, 3);
   const Numbers turn = out(torsion, on.count);
   const Numbers proof = out(twist, 6);
-  const std::size_t count = on.count;
   const grasp::Deepest deepest =
-      on.deepest(grasp::Wrench(load.data(), 6), {to.data(), 3 * count}, {turn.data(), count});
-  std::copy(deepest.twist.begin(), deepest.twist.end(), proof.data());
+      on.deepest(grasp::Wrench(load.data(), 6), to.numbers(), turn.numbers());
+  std::ranges::copy(deepest.twist, proof.data());
   return nb::make_tuple(int(deepest.code), deepest.iterations, deepest.margin);
 }
 
 void set_basis(ForceOptimizer& on, nb::handle basis) {
-  on.set_basis({in(basis, 13, 3 * on.count).data(), std::size_t(39 * on.count)});
+  on.set_basis(in(basis, 13, 3 * on.count).numbers());
 }
 double make_basis(ForceOptimizer& on, nb::handle basis, bool warm) {
-  return on.make_basis({out(basis, 13, 3 * on.count).data(), std::size_t(39 * on.count)}, warm);
+  return on.make_basis(out(basis, 13, 3 * on.count).numbers(), warm);
 }
 
-// combine a 12-basis (13, M) into (M,)
 void combine(nb::handle basis, nb::handle wrench, bool printed, nb::handle to) {
   const Numbers rows = in(basis, 13, -1);
   const Numbers load = in(wrench, 6);
@@ -246,9 +227,8 @@ void bind_optimizer(nb::module_& m) {
   m.attr("ACCEPTED_GAP") = grasp::ACCEPTED_GAP;
   m.attr("CLEAR") = grasp::CLEAR;
   m.def("combine", &combine, "basis"_a, "wrench"_a, "printed"_a, "to"_a,
-        "Combine a 12-basis with the optimum at rest (13, M) for a wrench, into (M,). printed: "
-        "without the optimum at rest\n"
-        "(Eqs. 33, 34).");
+        "Combine a 12-basis with the optimum at rest (13, M) for a wrench, into (M,).\n"
+        "printed: without the optimum at rest (Eqs. 33, 34).");
   nb::class_<ForceOptimizer>(m, "ForceOptimizer",
                              "`grasp::ForceOptimizer`; use `grasp_env.force.ForceOptimizer`.")
       .def("__init__", &make, "problem"_a, nb::arg("options").sig("...") = grasp::Options{},
@@ -257,17 +237,15 @@ void bind_optimizer(nb::module_& m) {
       .def("solve", &solve, "wrench"_a.none(), "changes"_a.none() = nb::none(),
            "request"_a.none() = nb::none(),
            "Return a solution, whose code says whether it holds a force; NotImplemented if wrench "
-           "or changes are not "
-           "C-contiguous\n"
-           "float64 arrays of the right shapes. changes: (positions, normals, friction, jacobian, "
-           "torque_bias, contacts), each "
-           "None if\n"
-           "it did not change.")
+           "or changes are not\n"
+           "C-contiguous float64 arrays of the right shapes. changes: (positions, normals, "
+           "friction, jacobian, torque_bias,\n"
+           "contacts), None where nothing changes.")
       .def("start", &start, "wrench"_a, "changes"_a.none(), "request"_a,
            "The same for the start alone: code `started`, and the start in `initial_force`.")
       .def("update", &update, "changes"_a,
            "Replace contacts and limits for later calls. Return False, with nothing changed, if "
-           "they are not possible.")
+           "they are impossible.")
       .def_prop_ro("previous", &ForceOptimizer::last, "The last solution with a force, or None.")
       .def("remember", &ForceOptimizer::take, "solution"_a,
            "Take a solution as the last one. Return False if it holds no force or has another "
@@ -276,19 +254,18 @@ void bind_optimizer(nb::module_& m) {
       .def("set_basis", &set_basis, "basis"_a,
            "Set the 12-basis with the optimum at rest, (13, 3N) cone coordinates.")
       .def("make_basis", &make_basis, "basis"_a, "warm"_a,
-           "Compute that basis into `basis` and use it. Return the worst relative gap; inf: not "
-           "converged, nan: no force "
-           "closure.\n"
-           "warm: `basis` holds that of nearby contacts.")
+           "Compute that basis into `basis` and use it; warm: `basis` holds that of nearby "
+           "contacts.\n"
+           "Return the worst relative gap; inf: not converged, nan: no force closure.")
       .def("deepest", &deepest, "wrench"_a, "force"_a, "torsion"_a, "twist"_a,
            "Find the force (N, 3) and torsion (N,) deepest inside cones and limits, or the twist "
-           "(6,) that proves that none is\n"
-           "inside. Return (code, iterations, margin).")
+           "(6,) that proves that\n"
+           "none is inside. Return (code, iterations, margin).")
       .def("solve_many", &solve_many, "wrenches"_a, "rows"_a,
            "Solve (M, 6) wrenches into (M, size); releases the GIL.")
       .def("times", &times, "wrenches"_a, "passes"_a, "rows"_a, "best"_a,
-           "Measure the best time (M,) [s] of `passes` independent calls for each of (M, 6) "
-           "wrenches, and write the last rows.")
+           "Write the best times (M,) [s] of `passes` calls for each of (M, 6) wrenches, and the "
+           "last rows.")
       .def_ro("count", &ForceOptimizer::count, "Number of contacts.")
       .def_prop_ro("size", &ForceOptimizer::size, "Number of values in a row.");
 }

@@ -9,7 +9,7 @@ using namespace grasp;
 namespace {
 
 // Call f(contact, its force x, its weights) for x (N, 3) and weights (N, 2).
-template <class F> void each(nb::handle x, nb::handle weights, F&& f) {
+template <class F> void for_each(nb::handle x, nb::handle weights, F&& f) {
   const Numbers rows = in(x, -1, 3);
   const Numbers values = in(weights, rows.length(0), 2);
   for (Py_ssize_t i = 0; i < rows.length(0); ++i)
@@ -19,7 +19,7 @@ template <class F> void each(nb::handle x, nb::handle weights, F&& f) {
 
 double value(nb::handle x, nb::handle weights) {
   double total = 0.0;
-  each(x, weights, [&](Py_ssize_t, const Point& at, const Weights<double>& w) {
+  for_each(x, weights, [&](Py_ssize_t, const Point& at, const Weights<double>& w) {
     const bool inside = at.u > 0.0 && lorentz(at, at) > 0.0;
     total += inside ? phi(at, w) : infinity;
   });
@@ -28,7 +28,7 @@ double value(nb::handle x, nb::handle weights) {
 
 void gradients(nb::handle x, nb::handle weights, nb::handle to) {
   double* out_ = out(to, in(x, -1, 3).length(0), 3).data();
-  each(x, weights, [&](Py_ssize_t i, const Point& at, const Weights<double>& w) {
+  for_each(x, weights, [&](Py_ssize_t i, const Point& at, const Weights<double>& w) {
     const Point slope = gradient(at, w);
     for (int a = 0; a < 3; ++a) out_[3 * i + a] = slope[a];
   });
@@ -37,9 +37,9 @@ void gradients(nb::handle x, nb::handle weights, nb::handle to) {
 // Entry (a, b) from the second derivatives along both axes and along their sum.
 void hessians(nb::handle x, nb::handle weights, nb::handle to) {
   double* out_ = out(to, in(x, -1, 3).length(0), 3, 3).data();
-  each(x, weights, [&](Py_ssize_t i, const Point& at, const Weights<double>& w) {
+  for_each(x, weights, [&](Py_ssize_t i, const Point& at, const Weights<double>& w) {
     const auto along = [&](int a, int b) {
-      Point move{0.0, 0.0, 0.0};
+      Point move{};
       move[a] = move[b] = 1.0;
       return curvature(at, move, w);
     };
@@ -52,7 +52,7 @@ void hessians(nb::handle x, nb::handle weights, nb::handle to) {
 
 double lower_bound(nb::handle y, nb::handle weights) {
   double total = 0.0;
-  each(y, weights, [&](Py_ssize_t, const Point& pull, const Weights<double>& w) {
+  for_each(y, weights, [&](Py_ssize_t, const Point& pull, const Weights<double>& w) {
     double room = 0.0;
     const double least = dual(pull, w, room);
     total += room > 0.0 && least == least ? least : -infinity;
@@ -64,9 +64,8 @@ double lower_bound(nb::handle y, nb::handle weights) {
 
 void bind_phi(nb::module_& m) {
   m.def("phi", &value, "x"_a, "weights"_a,
-        "Return Phi of forces (N, 3) in cone coordinates with weights (N, 2) omega, lambda; inf "
-        "unless strictly inside every "
-        "cone.");
+        "Return Phi of forces (N, 3) in cone coordinates with weights (N, 2) omega, lambda; inf: "
+        "not strictly inside.");
   m.def("phi_gradient", &gradients, "x"_a, "weights"_a, "out"_a,
         "Write the gradient of Phi into (N, 3).");
   m.def("phi_hessian", &hessians, "x"_a, "weights"_a, "out"_a,

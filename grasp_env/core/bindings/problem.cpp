@@ -12,16 +12,13 @@ using namespace grasp;
 
 namespace {
 
-// The numbers of an array of this shape, -1: any length; empty for None.
+// The numbers of an array; empty for None.
 template <class... Sizes> std::vector<double> copied(nb::handle array, Sizes... sizes) {
   if (array.is_none()) return {};
-  const Numbers given = in(array, sizes...);
-  std::size_t total = 1;
-  for (int a = 0; a < given.axes(); ++a) total *= std::size_t(given.length(a));
-  return {given.data(), given.data() + total};
+  const Numbers values = in(array, sizes...);
+  return {values.numbers().begin(), values.numbers().end()};
 }
 
-// A step rule from the numbers of `StepRule.parameters`.
 StepRule rule_of(nb::handle numbers) {
   const Numbers rule = in(numbers, 5);
   const double* p = rule.data();
@@ -30,8 +27,6 @@ StepRule rule_of(nb::handle numbers) {
   return {int(p[0]), p[1], p[2], p[3], p[4]};
 }
 
-// weights: omega and lambda of all contacts, or (N, 2), or None: those of `Objective`; limits: in
-// the order of `ForceLimits`
 void make_problem(OwnProblem* self, const Contacts& contacts, nb::handle weights,
                   nb::handle limits) {
   OwnProblem problem{contacts};
@@ -44,13 +39,13 @@ void make_problem(OwnProblem* self, const Contacts& contacts, nb::handle weights
     problem.contacts.set_weights(in(weights, contacts.count, 2).data());
   }
   if (!limits.is_none()) {
-    const nb::tuple given = nb::cast<nb::tuple>(limits);
-    if (given.size() != 5) throw nb::type_error("expected the five arrays of `ForceLimits`");
-    problem.min_normal = copied(given[0], contacts.count);
-    problem.max_normal = copied(given[1], contacts.count);
-    problem.torque_limit = copied(given[3], -1);
-    problem.jacobian = copied(given[2], contacts.count, -1, problem.torque_limit.size());
-    problem.torque_bias = copied(given[4], problem.torque_limit.size());
+    const nb::tuple arrays = nb::cast<nb::tuple>(limits);
+    if (arrays.size() != 5) throw nb::type_error("expected the five arrays of `ForceLimits`");
+    problem.min_normal = copied(arrays[0], contacts.count);
+    problem.max_normal = copied(arrays[1], contacts.count);
+    problem.torque_limit = copied(arrays[3], -1);
+    problem.jacobian = copied(arrays[2], contacts.count, -1, problem.torque_limit.size());
+    problem.torque_bias = copied(arrays[4], problem.torque_limit.size());
   }
   new (self) OwnProblem(std::move(problem));
 }
@@ -90,15 +85,9 @@ void make_request(OwnRequest* self, int start, nb::object force, nb::object prev
   OwnRequest own{.force = force, .previous = previous, .trace = trace};
   own.request.start = start_of(start);
   own.request.optimum = optimum;
-  if (!force.is_none()) {
-    const Numbers given = in(force, -1, 3);
-    own.request.force = {given.data(), std::size_t(3 * given.length(0))};
-  }
+  if (!force.is_none()) own.request.force = in(force, -1, 3).numbers();
   if (!previous.is_none()) own.request.previous = row_of(previous);
-  if (!trace.is_none()) {
-    const Numbers values = out(trace, -1);
-    own.request.trace = {values.data(), std::size_t(values.length(0))};
-  }
+  if (!trace.is_none()) own.request.trace = out(trace, -1).numbers();
   new (self) OwnRequest(std::move(own));
 }
 
@@ -110,26 +99,21 @@ void bind_problem(nb::module_& m) {
       "`grasp::Problem`: contacts with the weights of Phi, and limits besides friction.")
       .def("__init__", &make_problem, "contacts"_a, "weights"_a.none() = nb::none(),
            "limits"_a.none() = nb::none(),
-           "weights: omega and lambda of all contacts, or an array (N, 2); None: 1 and 0.01. "
-           "limits: (min_normal, max_normal, "
-           "jacobian, "
-           "torque_limit,\n"
-           "torque_bias), each an array or None; None: no limits.");
+           "weights: omega and lambda of all contacts, or an array (N, 2); None: 1 and 0.01.\n"
+           "limits: (min_normal, max_normal, jacobian, torque_limit, torque_bias), each an array "
+           "or None.");
   nb::class_<Options>(m, "Options", "`grasp::Options`.")
       .def("__init__", &make_options, nb::kw_only(), "method"_a = "newton", "largest"_a = false,
            "start"_a = 0, "tolerance"_a = 0.0, "limit"_a = 20000, "elastic"_a = false,
            "step_rule"_a.none() = nb::none(), "model"_a.none() = nb::none(), "remembers"_a = true,
-           "largest: True for `Criterion::largest`; start: index into the names of `Start`; "
-           "step_rule: (5,) kind, first, grow, "
-           "shrink,\n"
-           "decrease.");
+           "largest: True for `Criterion::largest`; start: index into the names of `Start`;\n"
+           "step_rule: (5,) kind, first, grow, shrink, decrease.");
   nb::class_<OwnRequest>(
       m, "Request",
       "`grasp::Request` without its wrench and changes: the start of a call, and a study of it.")
       .def("__init__", &make_request, nb::kw_only(), "start"_a = 0, "force"_a.none() = nb::none(),
            "previous"_a.none() = nb::none(), "optimum"_a = std::numeric_limits<double>::quiet_NaN(),
            "trace"_a.none() = nb::none(),
-           "force: (N, 3) [N]; previous: a solution; optimum: a known minimum of Phi; trace: (T,) "
-           "receives Phi of the first "
-           "iterates.");
+           "force: (N, 3) [N]; previous: a solution; optimum: a known minimum of Phi;\n"
+           "trace: (T,) receives Phi of the first iterates.");
 }

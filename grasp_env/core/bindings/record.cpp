@@ -8,9 +8,9 @@ using grasp::Summary;
 namespace {
 
 nb::typed<nb::dict, nb::str, int> record_fields() {
-  nb::dict places;
+  nb::dict offsets;
   const auto place = [&](const char* name, std::size_t offset) {
-    places[name] = int(offset / sizeof(double));
+    offsets[name] = int(offset / sizeof(double));
   };
   place("code", offsetof(Summary, code));
   place("iterations", offsetof(Summary, iterations));
@@ -29,7 +29,7 @@ nb::typed<nb::dict, nb::str, int> record_fields() {
   place("joints", offsetof(Summary, joints));
   place("limits", offsetof(Summary, limits));
   place("force", sizeof(Summary));
-  return places;
+  return offsets;
 }
 
 nb::typed<nb::dict, nb::str, int> codes() {

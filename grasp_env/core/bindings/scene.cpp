@@ -14,7 +14,7 @@ using namespace grasp;
 
 namespace {
 
-// Item k of a tuple, borrowed; throws for anything else and for a short tuple.
+// Item k of a tuple, borrowed; throws if there is none.
 PyObject* item(PyObject* tuple, Py_ssize_t k) {
   PyObject* result = PyTuple_GetItem(tuple, k);
   if (!result) throw nb::python_error();
@@ -31,23 +31,19 @@ Point vector(PyObject* tuple) {
 
 // Positions of the numbers in the nested tuples that an engine returns.
 struct Answers {
-  // of a contact: items of the engine's number of the hand's link, and of the point
-  int link, place;
-  std::vector<std::pair<int, int>> forces;  // amounts and their directions
-  double factor;                            // of the amounts; above 0: they push the object
-  int first;                                // the engine's number of the first of `links`
-  std::vector<int> links;                   // the hand's link for each of the engine's; -1: none
+  int link, place;  // items of a contact: see `bind_scene`
+  std::vector<std::pair<int, int>> forces;
+  double factor;
+  int first;
+  std::vector<int> links;
 
   nb::object read(nb::handle joints, nb::handle pose, nb::handle velocity,
                   nb::handle contacts) const {
     const Py_ssize_t count = PyTuple_Size(joints.ptr());
     const Py_ssize_t rows = PyTuple_Size(contacts.ptr());
     if (count < 0 || rows < 0) throw nb::python_error();
-    const npy_intp size = Reading::size(int(count), int(rows));
-    nb::object reading = nb::steal(PyArray_SimpleNew(1, &size, NPY_DOUBLE));
-    if (!reading) throw nb::python_error();
-    double* numbers =
-        static_cast<double*>(PyArray_DATA(reinterpret_cast<PyArrayObject*>(reading.ptr())));
+    nb::object reading = new_row(Reading::size(int(count), int(rows)));
+    double* numbers = data_of<double>(reading.ptr());
     for (Py_ssize_t j = 0; j < count; ++j) {
       PyObject* row = item(joints.ptr(), j);
       numbers[j] = number(item(row, 0));
@@ -65,7 +61,7 @@ struct Answers {
       const int index = int(number(item(row, link))) - first;
       next->link = index >= 0 && index < int(links.size()) ? links[index] : -1;
       next->place = vector(item(row, place));
-      Point total{0.0, 0.0, 0.0};
+      Point total{};
       for (const auto& [amount, direction] : forces)
         total += number(item(row, amount)) * vector(item(row, direction));
       next->force = factor * total;
@@ -86,19 +82,17 @@ std::shared_ptr<Scene> make_scene(const std::shared_ptr<Tree>& tree, const Surfa
 }
 
 bool read_scene(Scene& scene, nb::handle numbers) {
-  const Numbers given = in(numbers, -1);
-  if (given.length(0) < Reading::size(scene.tree->joints(), 0))
+  const Numbers reading = in(numbers, -1);
+  if (reading.length(0) < Reading::size(scene.tree->joints(), 0))
     throw nb::value_error("the reading is too short");
-  return scene.read(given.data(), std::size_t(given.length(0)));
+  return scene.read(reading.data(), std::size_t(reading.length(0)));
 }
 
-nb::typed<nb::dict, nb::str, nb::ndarray<>> scene_arrays(nb::handle self) {
-  return arrays_of(self, nb::cast<Scene&>(self).now);
-}
+Arrays scene_arrays(nb::handle self) { return arrays_of(self, nb::cast<Scene&>(self).now); }
 
 }  // namespace
 
-nb::typed<nb::dict, nb::str, nb::ndarray<>> arrays_of(nb::handle owner, Snapshot& s) {
+Arrays arrays_of(nb::handle owner, Snapshot& s) {
   const std::size_t tips = s.tips.size();
   const std::size_t joints = s.angles.size();
   const auto at = [&](double* first, std::initializer_list<std::size_t> shape) {
@@ -137,21 +131,18 @@ void bind_scene(nb::module_& m) {
       .def("__init__", &make_answers, nb::kw_only(), "link"_a, "place"_a, "forces"_a, "factor"_a,
            "first"_a, "links"_a,
            "For a contact: items of the engine's link number and of the point, pairs of items that "
-           "hold amounts and directions "
-           "of\n"
-           "forces; factor of all amounts, below 0 if they push the hand. links: the hand's link "
-           "for each of the engine's, "
-           "from\n"
-           "number `first` on; -1: none.")
+           "hold amounts and directions\n"
+           "of forces; factor of all amounts, below 0 if they push the hand. links: the hand's "
+           "link for each of the engine's,\n"
+           "from number `first` on; -1: none.")
       .def(
           "read", &Answers::read, "joints"_a, "pose"_a, "velocity"_a, "contacts"_a,
           nb::sig(
               "def read(self, joints: object, pose: object, velocity: object, contacts: object) -> "
               "numpy.typing.NDArray[numpy.float64]"),
           "Return joints ((angle, rate, ...), ...), pose (position, quaternion), velocity (linear, "
-          "angular) and contacts as "
-          "the\n"
-          "flat numbers of `Scene.read`, a new array.");
+          "angular) and contacts\n"
+          "as the flat numbers of `Scene.read`, a new array.");
   m.def("reading_size", &Reading::size, "joints"_a, "contacts"_a,
         "Return the number of values in a reading.");
   nb::class_<Scene>(m, "Scene", "A hand and an object in a simulator, as last read.")
@@ -162,10 +153,10 @@ void bind_scene(nb::module_& m) {
           "gravity"_a, "Set the gravity (3,) [m/s^2], world frame.")
       .def("read", &read_scene, "numbers"_a,
            "Read angles (M,), rates (M,), the object's position, quaternion (x y z w), linear and "
-           "angular velocity, and seven\n"
-           "numbers per contact: the hand's link, the point [m] and the force ON the object [N]; "
-           "world frame. Return False if\n"
-           "numbers are not finite or the object is lost.")
+           "angular velocity, and per\n"
+           "contact the hand's link, the point [m] and the force ON the object [N]; world frame. "
+           "Return False if numbers are\n"
+           "not finite or the object is lost.")
       .def("arrays", &scene_arrays,
            "Views of the scene's state by name; overwritten at each reading.");
 }

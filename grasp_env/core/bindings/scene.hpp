@@ -7,5 +7,7 @@
 
 #include "buffers.hpp"
 
+using Arrays = nb::typed<nb::dict, nb::str, nb::ndarray<>>;
+
 // Views of a snapshot by name, which keep its owner alive.
-nb::typed<nb::dict, nb::str, nb::ndarray<>> arrays_of(nb::handle owner, grasp::Snapshot& snapshot);
+Arrays arrays_of(nb::handle owner, grasp::Snapshot& snapshot);

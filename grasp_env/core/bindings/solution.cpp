@@ -1,6 +1,5 @@
-// The base class of `ForceSolution`: a record, the names of its method and starts, and the force
-// read from it. Plain CPython and numpy, since the control loop is sensitive to every nanosecond
-// here: Python or a nanobind class take four times as long.
+// The base class of `ForceSolution`: a record, the names of its method and starts, and the force.
+// Plain CPython and numpy: Python or a nanobind class take four times as long.
 #include <grasp/record.hpp>
 
 #include "solution.hpp"
@@ -17,15 +16,16 @@ struct Solution {
 
 constexpr PyObject* Solution::* FIELDS[] = {&Solution::record, &Solution::names,
                                             &Solution::objective_trace};
-PyObject* empty_array = nullptr;  // an empty array, read-only
+PyObject* empty_array = nullptr;  // read-only
 PyTypeObject* solution_type = nullptr;
 
 PyArrayObject* array(PyObject* object) { return reinterpret_cast<PyArrayObject*>(object); }
+double* row(PyObject* self) { return data_of<double>(reinterpret_cast<Solution*>(self)->record); }
 
 // Raise the project's own error, imported only when needed.
-PyObject* raise_invalid_input(const char* said) {
+PyObject* raise_invalid_input(const char* message) {
   nb::object kind = nb::module_::import_("grasp_env.errors").attr("InvalidInputError");
-  PyErr_SetString(kind.ptr(), said);
+  PyErr_SetString(kind.ptr(), message);
   return nullptr;
 }
 
@@ -36,8 +36,7 @@ bool is_record(PyObject* object) {
       !PyArray_ISBEHAVED_RO(a))
     return false;
   if (PyArray_DIM(a, 0) < SUMMARY) return false;
-  const double* row = static_cast<const double*>(PyArray_DATA(const_cast<PyArrayObject*>(a)));
-  const auto& s = *reinterpret_cast<const grasp::Summary*>(row);
+  const auto& s = *data_of<const grasp::Summary>(object);
   const double size = SUMMARY + 16.0 * s.contacts + s.joints + s.limits;
   for (double whole : {s.contacts, s.joints, s.limits, s.iterations, s.trials, s.start, s.code})
     if (!(whole >= 0.0 && whole < 1e18)) return false;
@@ -82,31 +81,24 @@ void drop(PyObject* self) {
   Py_DECREF(type);
 }
 
-// Numbers of the record as a read-only array that keeps it alive. The certificates belong to these
-// numbers, and the next solve may start from them.
+// Numbers of the record as an array that keeps it alive; read-only, since certificates and the next
+// solve rely on them.
 PyObject* view(PyObject* self, Py_ssize_t first, int axes, const npy_intp* shape) {
   PyArrayObject* record = array(reinterpret_cast<Solution*>(self)->record);
   PyArray_Descr* type = PyArray_DESCR(record);
   Py_INCREF(reinterpret_cast<PyObject*>(type));
   PyObject* result = PyArray_NewFromDescr(&PyArray_Type, type, axes, shape, nullptr,
-                                          static_cast<double*>(PyArray_DATA(record)) + first,
-                                          NPY_ARRAY_CARRAY_RO, nullptr);
+                                          row(self) + first, NPY_ARRAY_CARRAY_RO, nullptr);
   if (!result) return nullptr;
   if (PyArray_SetBaseObject(array(result), Py_NewRef(reinterpret_cast<PyObject*>(record))) < 0)
     Py_CLEAR(result);
   return result;
 }
-grasp::Record record(PyObject* self) {
-  return grasp::Record(
-      static_cast<double*>(PyArray_DATA(array(reinterpret_cast<Solution*>(self)->record))));
-}
+grasp::Record record(PyObject* self) { return grasp::Record(row(self)); }
 Py_ssize_t count(PyObject* self) { return record(self).contacts(); }
 
 PyObject* n_contacts(PyObject* self, void*) { return PyLong_FromSsize_t(count(self)); }
-PyObject* code(PyObject* self, void*) {
-  return PyLong_FromLong(
-      long(*static_cast<double*>(PyArray_DATA(array(reinterpret_cast<Solution*>(self)->record)))));
-}
+PyObject* code(PyObject* self, void*) { return PyLong_FromLong(long(*row(self))); }
 PyObject* has_force(PyObject* self, void*) { return PyBool_FromLong(record(self).has_force()); }
 PyObject* forces(PyObject* self, Py_ssize_t rows_before) {
   const npy_intp shape[] = {count(self), 3};
@@ -128,8 +120,7 @@ PyObject* torques(PyObject* self, void*) {
   return view(self, SUMMARY + 16 * count(self), 1, &many);
 }
 PyObject* limit_multipliers(PyObject* self, void*) {
-  const grasp::Record row = record(self);
-  const grasp::Summary& s = row.summary();
+  const grasp::Summary& s = record(self).summary();
   const npy_intp many = int(s.code) == grasp::LIMITS_EXCEEDED ? 0 : npy_intp(s.limits);
   return view(self, SUMMARY + 16 * count(self) + npy_intp(s.joints), 1, &many);
 }
@@ -138,7 +129,7 @@ PyObject* object_force(PyObject* self, void*) {
   PyObject* result = PyArray_SimpleNew(2, shape, NPY_DOUBLE);
   if (!result) return nullptr;
   for (int i = 0; i < int(shape[0]); ++i)
-    record(self).object_force(i, static_cast<double*>(PyArray_DATA(array(result))) + 3 * i);
+    record(self).object_force(i, data_of<double>(result) + 3 * i);
   return result;
 }
 template <double grasp::Summary::* field> PyObject* number(PyObject* self, void*) {
@@ -153,73 +144,64 @@ template <double grasp::Summary::* field> PyObject* truth(PyObject* self, void*)
 }
 template <grasp::Vec6 grasp::Summary::* field> PyObject* six(PyObject* self, void*) {
   const npy_intp many = 6;
-  const grasp::Record row = record(self);
-  const grasp::Summary& s = row.summary();
+  const grasp::Summary& s = record(self).summary();
   return view(self, (s.*field).data() - &s.code, 1, &many);
 }
 
 using grasp::Summary;
+constexpr PyGetSetDef property(const char* name, getter get, const char* doc) {
+  return {name, get, nullptr, doc, nullptr};
+}
 PyGetSetDef read[] = {
-    {"wrench", six<&Summary::wrench>, nullptr,
-     "(6,) external wrench that `force` balances [N, N m].", nullptr},
-    {"multipliers", six<&Summary::multipliers>, nullptr,
-     "(6,) nu of balance: grad objective = G^T nu (+ multipliers of the limits), d objective / d "
-     "wrench = -nu.",
-     nullptr},
-    {"iterations", whole<&Summary::iterations>, nullptr, "Accepted steps.", nullptr},
-    {"trials", whole<&Summary::trials>, nullptr, "All steps tried, rejected ones included.",
-     nullptr},
-    {"objective", number<&Summary::objective>, nullptr,
-     "Phi of `force`; for `conic` the sum or maximum of the normal forces [N]; `limit_excess` if "
-     "that is > 0.",
-     nullptr},
-    {"lower_bound", number<&Summary::lower_bound>, nullptr,
-     "A dual bound: no balanced force has a smaller objective (-inf: none). If `optimum` is given, "
-     "that value.",
-     nullptr},
-    {"equilibrium_residual", number<&Summary::residual>, nullptr,
-     "Largest |component| of G f + w [N], moments about the contacts' centre, divided by the "
-     "grasp's length.",
-     nullptr},
-    {"cone_margin", number<&Summary::margin>, nullptr,
-     "Smallest mu * normal - |tangential| over the contacts [N] (in cone coordinates); > 0 "
-     "strictly inside.",
-     nullptr},
-    {"limit_excess", number<&Summary::limit_excess>, nullptr,
-     "Largest excess of a limit, as a fraction of that limit; 0 within all. See `elastic` of "
-     "`optimize_force`.",
-     nullptr},
-    {"optimality_gap", gap, nullptr,
-     "(objective - lower_bound) / lower_bound, certified; +inf without a positive bound.", nullptr},
-    {"start_replaced", truth<&Summary::replaced>, nullptr,
-     "True if the requested start could not be used, so that the solve began from another; see "
-     "`initial`.",
-     nullptr},
-    {"frames", frames, nullptr,
-     "(N, 3, 3) columns (n, o, t) of each contact, in the frame of the positions.", nullptr},
-    {"object_force", object_force, nullptr,
-     "(N, 3) N: `force` along the axes of the frame of the positions.", nullptr},
-    {"torques", torques, nullptr,
-     "(J,) [N m] torques of the joints with torque limits, including the torque bias; empty "
-     "without such limits.",
-     nullptr},
-    {"limit_multipliers", limit_multipliers, nullptr,
-     "(M,) >= 0 multipliers of the limits, in the order of `ForceOptimizer.limit_labels`; for "
-     "INFEASIBLE those of the proof;\n"
-     "otherwise empty.",
-     nullptr},
-    {"n_contacts", n_contacts, nullptr, "Number of contacts.", nullptr},
-    {"code", code, nullptr, "Code of the solve, see `codes`.", nullptr},
-    {"has_force", has_force, nullptr,
-     "True if the solution holds a force; otherwise its force is zero.", nullptr},
-    {"force", force, nullptr,
-     "(N, 3) N: normal, o, t of each finger's force on the object, in that contact's frame.",
-     nullptr},
-    {"initial_force", initial_force, nullptr, "(N, 3) start [N].", nullptr},
-    {"torsion", torsion, nullptr,
-     "(N,) N m: torsion of each finger on the object about its normal; zero unless the contact is "
-     "soft.",
-     nullptr},
+    property("wrench", six<&Summary::wrench>,
+             "(6,) external wrench that `force` balances [N, N m]."),
+    property("multipliers", six<&Summary::multipliers>,
+             "(6,) nu of balance: grad objective = G^T nu (+ multipliers of the limits), d "
+             "objective / d wrench = -nu."),
+    property("iterations", whole<&Summary::iterations>, "Accepted steps."),
+    property("trials", whole<&Summary::trials>, "All steps tried, rejected ones included."),
+    property("objective", number<&Summary::objective>,
+             "Phi of `force`; for `conic` the sum or maximum of the normal forces [N]; "
+             "`limit_excess` if that is > 0."),
+    property("lower_bound", number<&Summary::lower_bound>,
+             "A dual bound: no balanced force has a smaller objective (-inf: none); or the given "
+             "`optimum`."),
+    property("equilibrium_residual", number<&Summary::residual>,
+             "Largest |component| of G f + w [N], moments about the contacts' centre over the "
+             "grasp's length."),
+    property("cone_margin", number<&Summary::margin>,
+             "Smallest mu * normal - |tangential| of the contacts [N], in cone coordinates; > 0: "
+             "strictly inside."),
+    property("limit_excess", number<&Summary::limit_excess>,
+             "Largest excess of a limit, as a fraction of it; 0: all are kept. See `elastic` of "
+             "`optimize_force`."),
+    property("optimality_gap", gap,
+             "(objective - lower_bound) / lower_bound, certified; +inf without a positive bound."),
+    property("start_replaced", truth<&Summary::replaced>,
+             "True if the requested start was unusable and the solve began from another; see "
+             "`initial`."),
+    property("frames", frames,
+             "(N, 3, 3) columns (n, o, t) of each contact, in the frame of the positions."),
+    property("object_force", object_force,
+             "(N, 3) N: `force` along the axes of the frame of the positions."),
+    property("torques", torques,
+             "(J,) [N m] torques of the joints with torque limits, bias included; empty without "
+             "such limits."),
+    property("limit_multipliers", limit_multipliers,
+             "(M,) >= 0 multipliers of the limits, in the order of `ForceOptimizer.limit_labels`; "
+             "for INFEASIBLE those of\n"
+             "the proof; otherwise empty."),
+    property("n_contacts", n_contacts, "Number of contacts."),
+    property("code", code, "Code of the solve, see `codes`."),
+    property("has_force", has_force,
+             "True if the solution holds a force; otherwise its force is zero."),
+    property(
+        "force", force,
+        "(N, 3) N: normal, o, t of each finger's force on the object, in that contact's frame."),
+    property("initial_force", initial_force, "(N, 3) start [N]."),
+    property("torsion", torsion,
+             "(N,) [N m] torsion of each finger on the object about its normal; zero for hard "
+             "contacts."),
     {},
 };
 PyMemberDef held[] = {
@@ -250,8 +232,7 @@ bool is_solution_class(nb::handle kind) {
 double* row_of(nb::handle solution) {
   if (!PyObject_TypeCheck(solution.ptr(), solution_type))
     throw nb::type_error("expected a solution");
-  return static_cast<double*>(
-      PyArray_DATA(array(reinterpret_cast<Solution*>(solution.ptr())->record)));
+  return row(solution.ptr());
 }
 nb::object names_of(nb::handle solution) {
   return nb::borrow(reinterpret_cast<Solution*>(solution.ptr())->names);

@@ -22,10 +22,10 @@ Surface make(const std::string& kind, nb::handle numbers) {
 }
 
 std::vector<Point> points(nb::handle rows) {
-  const Numbers given = in(rows, -1, 3);
-  std::vector<Point> out(given.length(0));
+  const Numbers numbers = in(rows, -1, 3);
+  std::vector<Point> out(numbers.length(0));
   for (std::size_t k = 0; k < out.size(); ++k) {
-    out[k] = point(given.data() + 3 * k);
+    out[k] = point(numbers.data() + 3 * k);
     if (!(dot(out[k], out[k]) < infinity)) throw nb::value_error("corners must be finite");
   }
   return out;
@@ -33,16 +33,16 @@ std::vector<Point> points(nb::handle rows) {
 
 Surface mesh(nb::handle corners, nb::handle faces, const std::vector<nb::object>& pieces) {
   const Numbers numbers = in(faces, -1, 3);
-  std::vector<Mesh::Corners> each(numbers.length(0));
-  for (std::size_t f = 0; f < each.size(); ++f)
+  std::vector<Mesh::Corners> triples(numbers.length(0));
+  for (std::size_t f = 0; f < triples.size(); ++f)
     for (int k = 0; k < 3; ++k) {
       const double number = numbers.data()[3 * f + k];
-      each[f][k] = number >= 0.0 && number < 1e9 ? int(number) : -1;
+      triples[f][k] = number >= 0.0 && number < 1e9 ? int(number) : -1;
     }
   std::vector<Piece> parts;
   for (const nb::object& piece : pieces) {
     std::vector<Point> around = points(piece);
-    Point middle{0.0, 0.0, 0.0};
+    Point middle{};
     for (const Point& corner : around) middle += corner;
     if (around.empty()) throw nb::value_error("a piece has corners");
     middle = middle / double(around.size());
@@ -51,7 +51,7 @@ Surface mesh(nb::handle corners, nb::handle faces, const std::vector<nb::object>
   }
   try {
     return {
-        Faces{std::make_shared<const Mesh>(points(corners), std::move(each), std::move(parts))}};
+        Faces{std::make_shared<const Mesh>(points(corners), std::move(triples), std::move(parts))}};
   } catch (const std::invalid_argument& error) {
     throw nb::value_error(error.what());
   }
@@ -70,15 +70,14 @@ void bind_surface(nb::module_& m) {
                       "A surface, body frame; the axis of cylinders and capsules is y.")
       .def_static("make", &make, "kind"_a, "numbers"_a,
                   "numbers (3,) [m]: cuboid, half its sides; cylinder, radius and half its height; "
-                  "sphere, radius; capsule,\n"
-                  "radius and half the length of its axis.")
+                  "sphere, radius;\n"
+                  "capsule, radius and half the length of its axis.")
       .def_static("mesh", &mesh, "corners"_a, "faces"_a, "pieces"_a,
                   "A closed mesh: corners (V, 3) [m] and their indices (F, 3) as float64, "
-                  "counterclockwise from outside; "
-                  "pieces: corners\n"
-                  "(K, 3) [m] of convex pieces whose union is the solid.")
+                  "counterclockwise from outside;\n"
+                  "pieces: corners (K, 3) [m] of convex pieces whose union is the solid.")
       .def("nearest", &nearest, "center"_a,
-           "Return the nearest point (3,) [m], the INWARD unit normal there and the distance [m], "
-           "negative inside. If several\n"
-           "points are equally near, one of them; on edges the normal is the direction to them.");
+           "Return the nearest point (3,) [m], or one of them, the INWARD unit normal there and "
+           "the distance [m],\n"
+           "negative inside. On edges the normal is the direction to the point.");
 }

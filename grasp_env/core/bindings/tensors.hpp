@@ -11,17 +11,15 @@
 
 #include "module.hpp"
 
-// `DLPackExchangeAPI` of DLPack 1 (dlpack.h): functions of a tensor type; torch has them from 2.10
-// on.
+// `DLPackExchangeAPI` of DLPack 1 (dlpack.h): functions of a tensor type, in torch from 2.10 on.
 struct ExchangeApi {
   std::uint32_t major, minor;
   void *previous_api, *allocator, *from_object, *to_object;
-  int (*dltensor_from_object)(
-      void* object,
-      nb::dlpack::dltensor* to);  // returns 0 on success; the object owns the viewed data
+  // returns 0 on success; the object owns the viewed data
+  int (*dltensor_from_object)(void* object, nb::dlpack::dltensor* to);
   void* current_stream;
 
-  // Return null if the object's type has no such functions.
+  // Null: the object's type has no such functions.
   static const ExchangeApi* of(nb::handle object) {
     PyObject* const capsule = PyObject_GetAttrString(
         reinterpret_cast<PyObject*>(Py_TYPE(object.ptr())), "__dlpack_c_exchange_api__");
@@ -151,22 +149,22 @@ class Tensor {
   }
   bool view_tensor(nb::handle object) {
     const ExchangeApi* const api = ExchangeApi::of(object);
-    nb::dlpack::dltensor seen;
-    if (!api || api->dltensor_from_object(object.ptr(), &seen) != 0) {
+    nb::dlpack::dltensor tensor;
+    if (!api || api->dltensor_from_object(object.ptr(), &tensor) != 0) {
       PyErr_Clear();
       return false;
     }
     constexpr int CPU = 1;
-    float32 = seen.dtype.bits == 32;
-    if (seen.device.device_type != CPU ||
-        seen.dtype.code != std::uint8_t(nb::dlpack::dtype_code::Float) || seen.dtype.lanes != 1 ||
-        (!float32 && seen.dtype.bits != 64) || !seen.data || seen.ndim >= MOST_DIMENSIONS ||
-        (seen.ndim > 0 && !seen.strides))
+    float32 = tensor.dtype.bits == 32;
+    if (tensor.device.device_type != CPU ||
+        tensor.dtype.code != std::uint8_t(nb::dlpack::dtype_code::Float) ||
+        tensor.dtype.lanes != 1 || (!float32 && tensor.dtype.bits != 64) || !tensor.data ||
+        tensor.ndim >= MOST_DIMENSIONS || (tensor.ndim > 0 && !tensor.strides))
       return false;
-    dimensions = seen.ndim;
-    data_ = static_cast<const char*>(seen.data) + seen.byte_offset;
-    std::copy_n(seen.shape, dimensions, shape.begin());
-    std::copy_n(seen.strides, dimensions, strides_.begin());
+    dimensions = tensor.ndim;
+    data_ = static_cast<const char*>(tensor.data) + tensor.byte_offset;
+    std::copy_n(tensor.shape, dimensions, shape.begin());
+    std::copy_n(tensor.strides, dimensions, strides_.begin());
     return true;
   }
   // True if these dimensions are contiguous with the stride `step` in the last one; the stride of a

@@ -53,7 +53,6 @@ std::shared_ptr<Tree> load(nb::bytes bytes) {
   return tree ? std::make_shared<Tree>(*std::move(tree)) : nullptr;
 }
 
-// The posture at angles (M,).
 Posture posture(const std::shared_ptr<Tree>& tree, nb::handle angles) {
   Posture result(tree);
   result.trace(in(angles, tree->joints()).data());
@@ -82,7 +81,7 @@ void tips(const std::shared_ptr<Tree>& tree, nb::handle angles, nb::handle cente
 
 void jacobian(const std::shared_ptr<Tree>& tree, nb::handle angles, int link, nb::handle place,
               nb::handle to) {
-  if (link < 0 || link >= tree->joints()) throw nb::value_error("no such link");
+  check_index(link, tree->joints(), "no such link");
   posture(tree, angles)
       .jacobian(link, point(in(place, 3).data()), out(to, 3, tree->joints()).data());
 }
@@ -98,12 +97,11 @@ void gravity_torques(const std::shared_ptr<Tree>& tree, nb::handle angles, nb::h
 
 void statics(const std::shared_ptr<Tree>& tree, nb::handle angles, nb::handle points,
              nb::handle gravity, nb::handle moves, nb::handle torques) {
-  const std::size_t fingers = tree->fingers();
-  const std::size_t joints = tree->joints();
-  Posture(tree).statics(in(angles, joints).data(), {in(points, fingers, 3).data(), 3 * fingers},
-                        point(in(gravity, 3).data()),
-                        {out(moves, fingers, 3, joints).data(), 3 * fingers * joints},
-                        {out(torques, joints).data(), joints});
+  const int fingers = tree->fingers();
+  const int joints = tree->joints();
+  Posture(tree).statics(in(angles, joints).data(), in(points, fingers, 3).numbers(),
+                        point(in(gravity, 3).data()), out(moves, fingers, 3, joints).numbers(),
+                        out(torques, joints).numbers());
 }
 
 void solve(Reach& reach, nb::handle targets, nb::handle starts, nb::handle angles,
@@ -126,16 +124,7 @@ void bind_tree(nb::module_& m) {
       .def("__init__", &make_link, nb::kw_only(), "parent"_a, "offset"_a, "rotation"_a, "axis"_a,
            "mass"_a, "center"_a, "lower"_a, "upper"_a, "torque_limit"_a, "sliding"_a = false,
            "driver"_a = -1, "ratio"_a = 1.0, "shift"_a = 0.0, "inertia"_a = std::array<double, 6>{},
-           "parent: index of the link that carries it, -1: the palm. offset [m], rotation (9,): "
-           "its joint in the parent's "
-           "frame.\n"
-           "axis: unit vector of the joint; center: of mass [m], its own frame. Limits [rad], [N "
-           "m]; for a sliding joint [m], "
-           "[N].\n"
-           "driver: joint that it is coupled to, -1: none; its angle is ratio * that of the driver "
-           "+ shift. inertia: xx, xy, "
-           "xz,\n"
-           "yy, yz, zz about the centre of mass [kg m^2].");
+           "The members of `grasp::Link`, see hand/tree.hpp; rotation and inertia row by row.");
   nb::class_<Tip>(m, "Tip", "The sphere with which a finger touches.")
       .def(
           "__init__",
@@ -168,8 +157,7 @@ void bind_tree(nb::module_& m) {
            "Write the torques that carry the weight of all links under a gravity (3,) [m/s^2], "
            "into (M,) [N m].")
       .def("statics", &statics, "angles"_a, "points"_a, "gravity"_a, "jacobian"_a, "torques"_a,
-           "Write the Jacobians of the points (N, 3) [m] where the fingertips touch, into (N, 3, "
-           "M), and the torques of\n"
+           "Write the Jacobians of the points (N, 3) [m] where the tips touch, into (N, 3, M), and "
            "`gravity_torques`, into (M,).")
       .def("save", &save, "Return the bytes of a hand file, which `grasp::TreeFile` reads in C++.")
       .def_static("load", &load, "bytes"_a, nb::sig("def load(bytes: bytes) -> Tree | None"),
@@ -193,6 +181,6 @@ void bind_tree(nb::module_& m) {
           "Groups of fingers that share joints, and these joints.")
       .def("solve", &solve, "targets"_a, "starts"_a, "angles"_a, "missed"_a,
            "Bring the tips near targets (N, 3) [m], from starts (S, M) in this order; write the "
-           "angles (M,) [rad] and the\n"
-           "distances (G,) of the worst tip of each group from its target [m].");
+           "angles (M,) [rad] and\n"
+           "for each group the distance (G,) of its worst tip from the target [m].");
 }

@@ -11,18 +11,18 @@
 
 using View = nb::ndarray<nb::numpy, double, nb::c_contig>;
 
-// A view that keeps its owner alive.
+// Views that keep their owner alive.
 inline View view(nb::handle owner, std::vector<double>& numbers,
                  std::initializer_list<size_t> shape) {
   return View(numbers.data(), shape, owner);
 }
 
-// A read-only view, and a new read-only array.
 using ReadOnly = nb::ndarray<nb::numpy, const double, nb::c_contig>;
 inline ReadOnly view(nb::handle owner, const double* numbers, std::initializer_list<size_t> shape) {
   return ReadOnly(numbers, shape, owner);
 }
-inline ReadOnly kept(std::vector<double> numbers, std::initializer_list<size_t> shape) {
+// A new read-only array.
+inline ReadOnly array_of(std::vector<double> numbers, std::initializer_list<size_t> shape) {
   auto* values = new std::vector<double>(std::move(numbers));
   return ReadOnly(values->data(), shape, nb::capsule(values, [](void* p) noexcept {
                     delete static_cast<std::vector<double>*>(p);

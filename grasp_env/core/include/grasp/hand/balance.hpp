@@ -14,8 +14,7 @@ struct Target {
 };
 static_assert(sizeof(Target) == Target::SIZE * sizeof(double));
 
-// Error of the object against its target: position [m], orientation [rad] and velocities [m/s],
-// [rad/s], world frame.
+// Error of the object against its target [m], [rad], [m/s], [rad/s], world frame.
 struct PoseError {
   Point position, orientation, linear, angular;
 

@@ -7,8 +7,8 @@ namespace grasp {
 
 // A spring and damper that draws a tip to its place.
 struct Spring {
-  double gain = 0.0, damping = 0.0, limit = infinity;
-};  // [N/m], [N s/m], largest force [N]
+  double gain = 0.0, damping = 0.0, limit = infinity;  // [N/m], [N s/m], largest force [N]
+};
 
 struct ControlSettings {
   Body body;
@@ -16,10 +16,9 @@ struct ControlSettings {
   Spring spring;                // for all fingers while nothing is optimised
   double reach_depth = 0.0;     // [m] below the surface: goal of reaching fingers
   std::vector<Spring> posture;  // (M,) [N m/rad], [N m s/rad]: for joints that the tips leave free
-  Options follow{
-      .tolerance = 1e-4,
-      .limit = 200};  // for the solves that start from the last command, and within torque limits
-  bool remembers = true;  // true if the method gets the last command, for starts that use it
+  // for the solves that start from the last command, and within torque limits
+  Options follow{.tolerance = 1e-4, .limit = 200};
+  bool remembers = true;  // the method gets the last command, for starts that use it
   // (N, 3, K) [1], object frame: internal forces that an adjustment combines
   std::vector<double> directions;
   double squeeze = 0.0;  // [N] total normal force for `Hold::squeeze`
@@ -33,19 +32,19 @@ struct Effort {
   int iterations = 0, trials = 0;  // of the method: accepted steps, and all steps tried
   int followed = 0;  // iterations of the control ticks between two solves of the method
   int limited = 0;   // iterations of Newton within the torque limits, when a force exceeded them
-  // torques were cut: no force within the limits balances the wrench, or none was found
-  bool saturated = false;
+  bool saturated = false;    // torques were cut: no force within the limits was found
   double margin = infinity;  // smallest distance of a torque from its limit [N m]
   double share = 0.0;        // largest torque as a fraction of its limit
 };
 
 // Costs of an agent's step, each from 0 to 1.
 struct Costs {
-  double force;   // fraction of the commanded normal forces above the smallest that balance the
-                  // wrench; 1: no force balances it
+  // fraction of the commanded normal forces above the smallest that balance the wrench; 1: none
+  // does
+  double force;
   double torque;  // largest torque of the step as a fraction of its limit
-  double change;  // change of the commanded forces in the step, relative to the forces before and
-                  // after: sums of |components|
+  double
+      change;  // of the commanded forces, relative to those before and after: sums of |components|
 };
 
 // Behaviour of the fingers in contact.

@@ -1,6 +1,5 @@
 // The control loop of a hand: from a reading to joint torques in one call. The constructor
-// allocates, a tick never does. The file is long because all parts of a tick share the loop's
-// state.
+// allocates, a tick never does.
 #pragma once
 #include <grasp/hand/control_settings.hpp>
 #include <grasp/hand/sensing.hpp>
@@ -21,7 +20,7 @@ class Controller {
   std::vector<double> torques;  // (M,) [N m]
   std::vector<double> force;    // (N, 3) commanded [N], contact frames
   std::vector<double> frames;   // (N, 3, 3) contact frames, columns (n, o, t), object frame
-  // (N,) depth below the object's surface [m] at which `Hold::place` keeps the tips
+  // (N,) depth below the surface [m] at which `Hold::place` keeps the tips
   std::vector<double> depths;
   std::vector<double> home;  // (M,) rest posture [rad]
   // (N,) the grasp's contact points [m] and inward normals, object frame
@@ -30,15 +29,14 @@ class Controller {
   double peak = 0.0;             // largest |torque| since `reset` [N m]
   std::uint64_t mask = 0;        // fingers that count as in contact
   int changes = 0;               // number of changes of `mask`, except from no contact
-  bool closure = true;  // false if the last tick with `Hold::optimized` had no contact or found no
-                        // balanced force
+  bool closure = true;           // the last tick with `Hold::optimized` found a balanced force
   Effort effort;
 
-  // method: finds the forces when an agent's step begins. It must have one contact per finger, else
-  // std::invalid_argument.
-  Controller(std::shared_ptr<Scene> given, const ForceOptimizer& method,
+  // method: finds the forces when an agent's step begins. Throws std::invalid_argument unless it
+  // has one contact per finger.
+  Controller(std::shared_ptr<Scene> viewed, const ForceOptimizer& method,
              const ControlSettings& settings, const SensorSettings& sensing)
-      : scene(std::move(given)),
+      : scene(std::move(viewed)),
         tree(scene->tree),
         settings(settings),
         sensors(scene, sensing),
@@ -65,7 +63,7 @@ class Controller {
         ticks_apart_(tree->fingers()),
         last_force_(force),
         step_force_(force),
-        given_(force),
+        direct_(force),
         squeezed_(force),
         adjustment_(force),
         torsion_(tree->fingers()),
@@ -81,8 +79,7 @@ class Controller {
   }
   Controller(const Controller&) = delete;
 
-  // Start a new episode. Delayed measurements first show the current scene, as if it had been at
-  // rest.
+  // Start a new episode. Delayed measurements first show the current scene, at rest.
   void reset() {
     std::fill(torques.begin(), torques.end(), 0.0);
     std::fill(force.begin(), force.end(), 0.0);
@@ -97,40 +94,37 @@ class Controller {
     begin_step();
     has_lost_force_ = has_last_ = near_limits_ = false;
     worst_ = {};
-    std::fill(slid_.begin(), slid_.end(), Point{0.0, 0.0, 0.0});
+    std::fill(slid_.begin(), slid_.end(), Point{});
     sensors.reset();
   }
 
   // Input of a control tick.
   struct Known {
-    Doubles reading;  // reading of the simulator or the hand, see `Reading`; empty if the scene
-                      // already has it
-    const double* external;  // (6,) external wrench on the object that a perfect sensor reports [N,
-                             // N m], object frame
-    const double* noise;     // (3 + 3N,) standard normal numbers for noisy sensors
-    Point gravity;           // [m/s^2], world
+    Doubles reading;  // see `Reading`; empty if the scene has it already
+    // (6,) external wrench that a perfect sensor reports [N, N m], object frame
+    const double* external;
+    const double* noise;  // (3 + 3N,) standard normal numbers for noisy sensors
+    Point gravity;        // [m/s^2], world
     Target target;
   };
   // An agent's step that begins at this tick. Every member is optional.
   struct StepRequest {
-    // (K,) [N] along `settings.directions`: their sum is added to the start, which is then brought
-    // inside the cones
+    // (K,) [N] along `settings.directions`: added to the start, which is then brought inside the
+    // cones
     Doubles adjustment{};
-    Start start = Start::standard;  // where the method starts: by its own rule, or at `force`
-                                    // (`Start::given`)
-    Doubles force{};  // (N, 3) [N], contact frames: the start for `Start::given`, or the command
-                      // for `Hold::direct`
+    Start start = Start::standard;  // of the method: by its own rule, or `Start::given`
+    // (N, 3) [N], contact frames: the start for `Start::given`, or the command for `Hold::direct`
+    Doubles force{};
   };
-  // Run one control tick, from a reading to `torques` within the motors' limits. step: set when an
-  // agent's step begins. Return false, with nothing changed, if the reading is not finite or the
+  // Run one control tick, from a reading to `torques` within the motors' limits. step: an agent's
+  // step that begins. Return false, with nothing changed, if the reading is not finite or the
   // object is farther away than `Snapshot::LOST_DISTANCE`.
   bool tick(const Known& known, const StepRequest* step = nullptr) {
     const bool good = see(known);
     if (good) act(step);
     return good;
   }
-  // The two halves of `tick`, for callers that compute the method's start from the new reading:
-  // first `see`, then `act`.
+  // The two halves of `tick`, for callers that compute the method's start from the reading.
   bool see(const Known& known) {
     if (!known.reading.empty() && !scene->read(known.reading.data(), known.reading.size()))
       return false;
@@ -170,7 +164,6 @@ class Controller {
   }
   const Snapshot& seen() const { return sensors.seen(); }
 
-  // Begin an agent's step and reset its effort.
   void begin_step() {
     effort = {};
     step_force_ = force;
@@ -193,15 +186,13 @@ class Controller {
     }
     return out;
   }
-  // Code of the method's last solve.
   Code code() const { return Code(int(reinterpret_cast<const Summary*>(solution.data())->code)); }
 
-  // Start from rest: compute the contact frames, and copy the measured forces into `force` as if
-  // they had been commanded.
+  // Compute the contact frames, and take the measured forces as commanded ones.
   void rest() {
     write_frames();
     worst_.slide = 0.0;
-    std::fill(slid_.begin(), slid_.end(), Point{0.0, 0.0, 0.0});  // the first tick counts it again
+    std::fill(slid_.begin(), slid_.end(), Point{});  // the first tick counts it again
     for (int i = 0; i < tree->fingers(); ++i)
       for (int a = 0; a < 3; ++a) force[3 * i + a] = dot(axis(i, a), seen().forces[i]);
   }
@@ -210,12 +201,10 @@ class Controller {
   struct Worst {
     double slide = 0.0;    // [m] largest sliding distance of a touching tip on the object
     double overlap = 0.0;  // [m] largest penetration of a tip into the object
-    // Force of parts other than fingertips on the object, divided by max(|external force + weight|,
-    // weight).
+    // force of other parts on the object, divided by max(|external force + weight|, weight)
     double stray = 0.0;
   };
-  // Quality of the hold, from the true state: the object's pose error, and the forces and the slip
-  // of the fingers.
+  // Quality of the hold, from the true state.
   struct Outcome {
     PoseError error;
     double drift, tilt;        // [m], [rad]: norms of the position and orientation errors
@@ -224,7 +213,7 @@ class Controller {
     double stray = 0.0;        // force of parts other than fingertips on the object [N]
     Worst worst;
   };
-  // measured: receives the measured forces (N, 3) in the commanded contact frames [N].
+  // measured: receives the forces (N, 3) in the commanded contact frames [N].
   Outcome outcome(const Target& target, double* measured) const {
     const Snapshot& now = scene->now;
     const PoseError error(now, target);
@@ -246,18 +235,17 @@ class Controller {
 
  private:
   static constexpr double STANDARD_GRAVITY = 9.81;  // [m/s^2]
-  // Fraction of the torque limits: if all torques are below it, the next tick solves without these
-  // limits.
+  // fraction of the torque limits: below it, the next tick solves without them
   static constexpr double NEAR = 0.9;
   // smallest normal force times friction of a finger that has just landed [N]
   static constexpr double LIGHT = 1e-2;
-  // rounding allowed at a torque limit, as a fraction of it
+  // rounding at a torque limit, as a fraction of it
   static constexpr double ROUNDED = 1e-9;
 
-  // The joints that have motors, and the torques of these motors.
+  // The joints that have motors, and the torques of these.
   struct Motors {
     std::vector<int> of;  // (M,) index of a joint's motor; -1: coupled
-    // (J,) [N m]: torque limits of the motors; torques that carry the links' weight
+    // (J,) [N m]: limits; torques that carry the links' weight
     std::vector<double> limit, bias;
     explicit Motors(const Tree& tree) : of(tree.joints(), -1) {
       for (int j = 0; j < tree.joints(); ++j)
@@ -271,15 +259,14 @@ class Controller {
   ForceOptimizer method_;
   Motors motors_;
   std::vector<double> jacobian_;  // (N, 3 or 6, J) object frame; declared before its users
-  // Newton from the last command, on the cones only; Newton within the motors' limits
+  // Newton from the last command on the cones; within the motors' limits
   ForceOptimizer follow_, within_;
   ForceOptimizer least_sum_;  // finds the least sum of normal forces, for `costs`
   ElasticBalance elastic_;
-  // Solution rows of these three solvers, and the last command as such a row.
+  // solution rows of these solvers, and the last command as such a row
   std::vector<double> follow_row_, within_row_, least_sum_row_, last_row_;
-  bool has_last_ = false;  // true if there is a last command
-  // near: the last command is near the torque limits. exceeds: no force is within them, and it
-  // exceeds them least.
+  bool has_last_ = false;  // there is a last command
+  // near: the last command is near the torque limits; exceeds: it exceeds them least
   bool near_limits_ = false, exceeds_limits_ = false;
   std::uint64_t squeezed_mask_ = 0;  // fingers for which `squeezed_` was computed
   Worst worst_;
@@ -289,16 +276,16 @@ class Controller {
   std::vector<int> ticks_apart_;  // (N,) ticks since a finger had force
   Target target_{};
   // (N, 3) [N], contact frames: commands of the last tick and before the agent's step; forces of
-  // `Hold::direct` and `Hold::squeeze`. The adjustment is in the object frame.
-  std::vector<double> last_force_, step_force_, given_, squeezed_, adjustment_;
+  // `Hold::direct` and `Hold::squeeze`; in the object frame: the adjustment
+  std::vector<double> last_force_, step_force_, direct_, squeezed_, adjustment_;
   std::vector<double> torsion_;  // (N,) commanded moments about the normals [N m]
-  // (M,) work space of the functions below
+  // (M,) work space
   std::vector<double> pull_, extra_torques_, trial_torques_;
   std::vector<double> tip_push_, tip_jacobian_;  // work space of `keep_posture`
   Cholesky gram_;
   bool is_redundant_;
 
-  // The least sum counts newtons, whatever the weights of the method.
+  // The least sum counts newtons.
   static Contacts with_weight_one(Contacts contacts) {
     contacts.set_weights(Objective{});
     return contacts;
@@ -312,7 +299,7 @@ class Controller {
                            .limit = settings.follow.limit,
                            .elastic = elastic});
   }
-  // True if the tips leave joints free: a finger has more than three, or a joint moves no tip.
+  // True if a finger has more than three joints, or a joint moves no tip.
   static bool is_redundant(const Tree& tree) {
     const std::vector<int> fingers_per_motor = tree.fingers_per_motor(tree.all_fingers());
     bool free = false;
@@ -322,7 +309,6 @@ class Controller {
     return free;
   }
 
-  // Worst values including the current state.
   Worst worst() const {
     Worst out = worst_;
     for (double gap : scene->now.gaps) out.overlap = std::max(out.overlap, -gap);
@@ -335,26 +321,24 @@ class Controller {
   Point axis(int i, int a) const {
     return {frames[9 * i + a], frames[9 * i + 3 + a], frames[9 * i + 6 + a]};
   }
-  // Call f(i) for the fingers in contact.
   template <class F> void touching(F&& f) const {
     for (int i = 0; i < tree->fingers(); ++i)
       if (mask >> i & 1) f(i);
   }
-  // Update the fingers that count as in contact: those that touch, and those that did within the
-  // last `release` ticks.
+  // Fingers count as in contact if they touch, or did within the last `release` ticks.
   void count_contacts() {
     const std::uint64_t touch = seen().mask();
     if (touch == mask && !has_lost_force_) return;
-    std::uint64_t held = 0;
+    std::uint64_t next = 0;
     for (int i = 0; i < tree->fingers(); ++i) {
       const std::uint64_t bit = std::uint64_t(1) << i;
       ticks_apart_[i] = touch & bit ? 0 : ticks_apart_[i] + 1;
-      if (touch & bit || (mask & bit && ticks_apart_[i] <= settings.release)) held |= bit;
+      if (touch & bit || (mask & bit && ticks_apart_[i] <= settings.release)) next |= bit;
     }
-    has_lost_force_ = held != touch;
-    if (held == mask) return;
+    has_lost_force_ = next != touch;
+    if (next == mask) return;
     changes += mask != 0;
-    mask = held;
+    mask = next;
   }
   void write_frames() {
     for (int i = 0; i < tree->fingers(); ++i) {
@@ -363,14 +347,13 @@ class Controller {
         for (int k = 0; k < 3; ++k) frames[9 * i + 3 * k + a] = frame[a][k];
     }
   }
-  // The current contacts for the solvers.
   Changes contacts() const {
     const std::size_t size = 3 * seen().points.size();
     return {.positions = {&seen().points[0].u, size},
             .normals = {&seen().normals[0].u, size},
             .contacts = mask};
   }
-  // The current contacts with the motors' Jacobian and the torques of the links' weight.
+  // The contacts with the motors' Jacobian and the torques of the links' weight.
   Changes limited_contacts() {
     const Snapshot& s = seen();
     const std::size_t joints = motors_.limit.size();
@@ -399,16 +382,14 @@ class Controller {
   // --- forces
 
   void forget_solution() { Record(solution.data(), tree->fingers()).summary() = {}; }
-  // Write the forces of the fingers in contact into `force` and `torsion_`.
   void find_forces(const StepRequest* step) {
     if (hold == Hold::optimized) {
       if (has_last_) lift_landed_forces();
       if (step || !has_last_ || !near_limits_ || !keep_limits(last_row_.data())) {
-        const Record found = step ? by_method(*step) : follow();
-        const bool few =
-            step &&
-            found.code() == RANK_LOST;  // a flow does not solve what few contacts can balance
-        const Record row = few ? follow() : found;
+        const Record first = step ? by_method(*step) : follow();
+        // a flow does not solve what few contacts can balance
+        const bool few = step && first.code() == RANK_LOST;
+        const Record row = few ? follow() : first;
         if (!row.has_force()) return balance_elastically();
         set_force(row);
         if (motors_can_make(1.0))
@@ -421,9 +402,9 @@ class Controller {
       return;
     }
     if (hold == Hold::direct && step)
-      std::copy(step->force.begin(), step->force.end(), given_.begin());
+      std::copy(step->force.begin(), step->force.end(), direct_.begin());
     if (hold == Hold::squeeze && squeezed_mask_ != mask) squeeze();
-    const std::vector<double>& from = hold == Hold::direct ? given_ : squeezed_;
+    const std::vector<double>& from = hold == Hold::direct ? direct_ : squeezed_;
     touching([&](int i) { std::copy_n(&from[3 * i], 3, &force[3 * i]); });
     if (hold == Hold::squeeze) restore_balance();
   }
@@ -431,16 +412,15 @@ class Controller {
     std::copy_n(row.force(), force.size(), force.data());
     std::copy_n(row.torsion(), torsion_.size(), torsion_.data());
   }
-  // Solve with the method on the current contacts.
   Record by_method(const StepRequest& step) {
-    Request ask{.wrench = wrench.data(), .now = contacts(), .start = step.start};
-    if (step.start == Start::given) ask.force = step.force;
-    if (settings.remembers && has_last_) ask.previous = last_row_.data();
+    Request request{.wrench = wrench.data(), .now = contacts(), .start = step.start};
+    if (step.start == Start::given) request.force = step.force;
+    if (settings.remembers && has_last_) request.previous = last_row_.data();
     if (!step.adjustment.empty()) {
       adjust(step.adjustment);
-      ask.adjustment = adjustment_;
+      request.adjustment = adjustment_;
     }
-    method_.solve(ask, solution.data());
+    method_.solve(request, solution.data());
     const Record row(solution.data());
     if (row.has_force()) {
       effort.iterations += int(row.summary().iterations);
@@ -448,7 +428,6 @@ class Controller {
     }
     return row;
   }
-  // Solve from the last command.
   Record follow() {
     follow_.solve(from_last(), follow_row_.data());
     const Record row(follow_row_.data());
@@ -461,8 +440,8 @@ class Controller {
             .start = Start::previous,
             .previous = has_last_ ? last_row_.data() : nullptr};
   }
-  // Solve by Newton within the motors' limits, from the row of an earlier force. Return false if no
-  // force was found.
+  // Solve by Newton within the motors' limits, from an earlier force. Return false if none was
+  // found.
   bool keep_limits(const double* previous) {
     within_.solve({.wrench = wrench.data(),
                    .now = limited_contacts(),
@@ -476,7 +455,7 @@ class Controller {
     near_limits_ = !motors_can_make(NEAR);
     return within.has_force();
   }
-  // No balanced force was found: minimise the balance residual, from the last forces.
+  // Minimise the balance residual, from the last forces.
   void balance_elastically() {
     closure = near_limits_ = false;
     touching([&](int i) { std::copy_n(&last_force_[3 * i], 3, &force[3 * i]); });
@@ -492,7 +471,7 @@ class Controller {
         adjustment_[j] += settings.directions[columns * j + k] * coordinates[k];
     }
   }
-  // The last command of a finger that has just landed is not inside its cone. Move it just inside.
+  // Move the last command of a finger that has just landed into its cone.
   void lift_landed_forces() {
     const Record row(last_row_.data());
     touching([&](int i) {
@@ -502,7 +481,7 @@ class Controller {
       if (!(scale[0] * f[0] > side)) f[0] = std::max(1.05 * side, LIGHT) / scale[0];
     });
   }
-  // Keep the command as the previous solution of the next tick.
+  // Keep the command for the next tick.
   void store_command(bool pushes) {
     has_last_ = pushes;
     if (!pushes) return;
@@ -513,8 +492,8 @@ class Controller {
     std::copy(torsion_.begin(), torsion_.end(), row.torsion());
     std::copy(frames.begin(), frames.end(), row.frames());
   }
-  // Move the forces towards the last command, rebalanced, so that no component differs from it by
-  // more than `most_change`.
+  // Move the forces towards the last command, rebalanced, until no component differs by more than
+  // `most_change`.
   void bound_change() {
     const auto change = [&](const double* then) {
       double most = 0.0;
@@ -525,19 +504,19 @@ class Controller {
     };
     if (change(last_force_.data()) <= settings.most_change) return;
     if (follow_.start(from_last(), follow_row_.data()) != STARTED) return;
-    const Record kept(follow_row_.data());
-    const double moved = change(kept.force());
+    const Record before(follow_row_.data());
+    const double moved = change(before.force());
     if (moved <= settings.most_change) return;
-    const double share = within_limits(kept, settings.most_change / moved);
+    const double share = within_limits(before, settings.most_change / moved);
     for (std::size_t j = 0; j < force.size(); ++j)
-      force[j] = kept.force()[j] + share * (force[j] - kept.force()[j]);
+      force[j] = before.force()[j] + share * (force[j] - before.force()[j]);
     for (std::size_t i = 0; i < torsion_.size(); ++i)
-      torsion_[i] = kept.torsion()[i] + share * (torsion_[i] - kept.torsion()[i]);
+      torsion_[i] = before.torsion()[i] + share * (torsion_[i] - before.torsion()[i]);
   }
-  // The smallest fraction >= `share` of the way from `kept` to the forces that is within the torque
-  // limits, if the forces are.
-  double within_limits(const Record& kept, double share) {
-    torques_of(kept.force(), trial_torques_);
+  // The smallest fraction >= `share` of the way from `before` to the forces that is within the
+  // torque limits, if the forces are.
+  double within_limits(const Record& before, double share) {
+    torques_of(before.force(), trial_torques_);
     torques_of(force.data(), extra_torques_);
     for (int j = 0; j < tree->joints(); ++j) {
       const double limit = tree->links[j].torque_limit;
@@ -548,8 +527,8 @@ class Controller {
     }
     return share;
   }
-  // Compute an internal force of the fingers in contact, at the method's original contacts, with
-  // the total normal force `settings.squeeze`.
+  // Compute an internal force of the fingers in contact, at the method's original contacts, whose
+  // normal forces sum to `settings.squeeze`.
   void squeeze() {
     const double nothing[6] = {};
     follow_.solve({.wrench = nothing, .now = {.contacts = mask}}, follow_row_.data());
@@ -565,7 +544,7 @@ class Controller {
   }
   // Restore balance by the least-norm change of the forces, as far as these contacts can.
   void restore_balance() {
-    // relative to the largest entry: for two contacts the matrix is singular
+    // relative to the largest entry: with two contacts the matrix is singular
     constexpr double SHIFT = 1e-9;
     Packed6 gram{};
     Vec6 missed = wrench;
@@ -589,27 +568,27 @@ class Controller {
 
   // --- torques
 
-  // out (M,) = the torques that carry the hand plus those of the fingers in contact with forces (N,
+  // out (M,) = the torques that carry the hand plus those of the touching fingers with forces (N,
   // 3) [N], contact frames, and their torsion.
   void torques_of(const double* forces, std::vector<double>& out) const {
     const Snapshot& s = seen();
     std::copy(s.gravity_torques.begin(), s.gravity_torques.end(), out.begin());
     touching([&](int i) {
-      Point push{0.0, 0.0, 0.0};
+      Point push{};
       for (int k = 0; k < 3; ++k) push += forces[3 * i + k] * axis(i, k);
       s.posture.push(tree->tips[i].link, s.touch[i], s.rotation * push, out.data());
       if (torsion_[i] != 0.0)
         s.posture.twist(tree->tips[i].link, torsion_[i] * (s.rotation * axis(i, 0)), out.data());
     });
   }
-  // True if the motors can produce the forces and carry the hand within `part` of their limits.
+  // True if the motors can do this within `part` of their limits.
   bool motors_can_make(double part) {
     torques_of(force.data(), trial_torques_);
     for (int j = 0; j < tree->joints(); ++j)
       if (!(std::abs(trial_torques_[j]) <= part * tree->links[j].torque_limit)) return false;
     return true;
   }
-  // Add as much of `extra_torques_` to the torques as their limits allow.
+  // Add as much of `extra_torques_` as the limits allow.
   void add_within() {
     double share = 1.0;
     for (int j = 0; j < tree->joints(); ++j) {
@@ -620,13 +599,12 @@ class Controller {
     }
     for (int j = 0; j < tree->joints(); ++j) torques[j] += share * extra_torques_[j];
   }
-  // Clip the torques to the motors' limits.
   void clip_torques() {
     for (int j = 0; j < tree->joints(); ++j) {
       if (tree->links[j].coupled()) continue;
       const double limit = tree->links[j].torque_limit;
-      const double wanted = std::abs(torques[j]);
-      effort.saturated = effort.saturated || wanted > limit * (1.0 + ROUNDED);
+      const double size = std::abs(torques[j]);
+      effort.saturated = effort.saturated || size > limit * (1.0 + ROUNDED);
       torques[j] = std::min(std::max(torques[j], -limit), limit);
       const double used = std::abs(torques[j]);
       peak = std::max(peak, used);
@@ -636,8 +614,8 @@ class Controller {
   }
 
   // Spring and damper force [N], world frame, that draws tip i to its place below the surface at
-  // its goal. With `Hold::place` this place moves with the target pose of the object, otherwise
-  // with its current pose.
+  // its goal; with `Hold::place` this moves with the target pose of the object, otherwise with its
+  // current one.
   Point reach(int i) const {
     const Snapshot& s = seen();
     const bool anchored = hold == Hold::place;
@@ -645,16 +623,16 @@ class Controller {
     const Spring& spring = anchored ? settings.spring : settings.reach[i];
     const double depth = anchored ? depths[i] : settings.reach_depth;
     const Point place = turned * (goals[i] - (tree->tips[i].radius - depth) * inwards[i]);
-    const Point wanted = (anchored ? target_.position : s.position) + place;
+    const Point goal = (anchored ? target_.position : s.position) + place;
     Point speed = s.posture.velocity(tree->tips[i].link, s.tips[i], s.rates.data());
     if (!anchored) speed -= s.object_velocity(s.tips[i]);
-    const Point pull = spring.gain * (wanted - s.tips[i]) - spring.damping * speed;
+    const Point pull = spring.gain * (goal - s.tips[i]) - spring.damping * speed;
     const double size = length(pull);
     return size > spring.limit ? (spring.limit / size) * pull : pull;
   }
 
-  // Add the torques that keep a redundant hand near its rest posture without moving the tips, in
-  // the null space of all tip Jacobians.
+  // Keep a redundant hand near its rest posture without moving the tips, in the null space of their
+  // Jacobians.
   void keep_posture() {
     const Snapshot& s = seen();
     const int m = tree->joints();

@@ -1,9 +1,9 @@
-// Closed triangle meshes, convex or not: the nearest point of the surface, and the side of it on
-// which a point lies.
+// Closed triangle meshes: the nearest point of the surface, and the side of it on which a point
+// lies.
 //
-// A tree of boxes over the faces finds the face (about 1 us for 16,000 of them). The side follows
-// from the normal there; on edges and corners, from the sum of the faces' normals, weighted by
-// their angles on corners (Baerentzen and Aanaes 2005).
+// A tree of boxes finds the face (about 1 us for 16,000 of them). The side follows from the normal
+// there; on edges and corners, from the sum of the faces' normals, weighted by their angles on
+// corners (Baerentzen and Aanaes 2005).
 #pragma once
 #include <algorithm>
 #include <array>
@@ -15,8 +15,8 @@
 
 namespace grasp {
 
-// One of the nearest points if several are equally near, as at the centre of a ball. On edges the
-// normal is the direction to the point.
+// If several points are equally near, one of them. On edges the normal is the direction to the
+// point.
 struct Nearest {
   Point point, inward;  // [m], unit normal
   double distance;      // [m], negative inside
@@ -33,8 +33,7 @@ class Mesh {
   using Corners = std::array<int, 3>;
   std::vector<Piece> pieces;  // their union is the solid
 
-  // corners: (V,) [m]; faces: indices of corners, counterclockwise from outside. Throws
-  // std::invalid_argument.
+  // faces: corners, counterclockwise from outside. Throws std::invalid_argument.
   Mesh(std::vector<Point> corners, std::vector<Corners> faces, std::vector<Piece> parts)
       : pieces(std::move(parts)), corners_(std::move(corners)), faces_(std::move(faces)) {
     if (faces_.empty() || pieces.empty())
@@ -66,11 +65,10 @@ class Mesh {
     return {hit.point, -out, side * distance};
   }
 
-  // A point of the surface, uniformly distributed by area, and its outward normal, from three
-  // numbers in [0, 1).
+  // A point of the surface, uniform by area, and its outward normal, from numbers in [0, 1).
   std::pair<Point, Point> sample(double which, double u, double v) const {
-    const auto found = std::upper_bound(areas_.begin(), areas_.end(), which * areas_.back());
-    const int face = int(std::min<std::ptrdiff_t>(found - areas_.begin(), faces_.size() - 1));
+    const auto at = std::upper_bound(areas_.begin(), areas_.end(), which * areas_.back());
+    const int face = int(std::min<std::ptrdiff_t>(at - areas_.begin(), faces_.size() - 1));
     if (u + v > 1.0) {
       u = 1.0 - u;
       v = 1.0 - v;
@@ -87,7 +85,7 @@ class Mesh {
   struct Triangle {
     Point corner, b, c;  // [m]; edges to the other two corners
     Point to_b, to_c;    // gradients of a point's coordinates along b and c
-    // inverse squared lengths of the edges from each corner to the next
+    // inverse squared lengths of the edges
     std::array<double, 3> shorter;
     int face;
   };
@@ -124,7 +122,7 @@ class Mesh {
   std::vector<Corners> faces_;
   std::vector<Point> normals_;  // (F,) outward unit normals; 0 for faces without area
   std::vector<double> areas_;   // (F,) cumulative double areas of the faces
-  // (F, 3) normals on the edges from each corner to the next; (V,) on corners.
+  // (F, 3) normals on the edges from each corner to the next; (V,) on corners
   std::vector<Point> edge_normals_, corner_normals_;
   std::vector<Triangle> triangles_;  // in the order of the leaves
   std::vector<Node> nodes_;
@@ -175,7 +173,7 @@ class Mesh {
         best = {t.corner + from_corner, square, t.face, feature};
     };
     if (u >= 0.0 && v >= 0.0 && w >= 0.0) return take(v * t.b + w * t.c, INNER);
-    // nearest on an edge that the point is beyond; on any edge for a face without area
+    // on an edge that the point is beyond; on any for a face without area
     const auto edge = [&](const Point& from, const Point& way, int k) {
       const double part = dot(arm - from, way) * t.shorter[k];
       if (part <= 0.0)
@@ -198,7 +196,7 @@ class Mesh {
       const auto [a, b, c] = points(f);
       const Point across = cross(b - a, c - a);
       const double area = length(across);
-      normals_.push_back(is_degenerate(f, area) ? Point{0.0, 0.0, 0.0} : across / area);
+      normals_.push_back(is_degenerate(f, area) ? Point{} : across / area);
       areas_.push_back(total += area);
     }
     if (!(total > 0.0)) throw std::invalid_argument("the faces of a mesh must have area");
@@ -253,7 +251,7 @@ class Mesh {
     }
     edge_normals_.resize(sides_.size());
     for (const Side& side : sides_) {
-      Point sum{0.0, 0.0, 0.0};
+      Point sum{};
       const auto [first, last] = group_[3 * side.face + side.edge];
       for (int s = first; s < last; ++s)
         sum += normal_seen_from(sides_[s].face, sides_[s].edge, MAX_FOLDS);
@@ -262,12 +260,11 @@ class Mesh {
   }
   static constexpr int MAX_FOLDS = 6;  // largest number of adjacent faces without area
 
-  // The normal of a face as seen from one of its edges. A face without area is a fold: seen from
-  // its longest edge it has the normals across the others, and vice versa, if an edge has two
-  // faces.
+  // The normal of a face as seen from one of its edges. A face without area is a fold: from its
+  // longest edge one sees the normals across the others, and vice versa, if an edge has two faces.
   Point normal_seen_from(int face, int edge, int deep) const {
     if (!is_degenerate(face) || deep == 0) return normals_[face];
-    Point sum{0.0, 0.0, 0.0};
+    Point sum{};
     const int through = longest(face);
     for (int k = 0; k < 3; ++k) {
       if ((k == through) == (edge == through)) continue;
@@ -280,8 +277,8 @@ class Mesh {
     return size > 0.0 ? sum / size : sum;
   }
   void compute_corner_normals() {
-    corner_normals_.assign(corners_.size(), Point{0.0, 0.0, 0.0});
-    std::vector<int> some(corners_.size(), 0);
+    corner_normals_.assign(corners_.size(), Point{});
+    std::vector<int> faces(corners_.size(), 0);
     for (int f = 0; f < int(faces_.size()); ++f) {
       const auto p = points(f);
       const Point normal = normal_seen_from(f, (longest(f) + 1) % 3, MAX_FOLDS);
@@ -290,11 +287,11 @@ class Mesh {
         const Point other = p[(k + 2) % 3] - p[k];
         corner_normals_[faces_[f][k]] +=
             std::atan2(length(cross(one, other)), dot(one, other)) * normal;
-        if (!is_degenerate(f)) some[faces_[f][k]] = f;
+        if (!is_degenerate(f)) faces[faces_[f][k]] = f;
       }
     }
     for (std::size_t v = 0; v < corner_normals_.size(); ++v)
-      corner_normals_[v] = normal_or_default(corner_normals_[v], some[v]);
+      corner_normals_[v] = normal_or_default(corner_normals_[v], faces[v]);
     sides_ = {};
     group_ = {};
   }
@@ -322,7 +319,7 @@ class Mesh {
     return out;
   }
 
-  // Halve the faces by their centres along the axis of largest spread, until few are left.
+  // Halve the faces by their centres along the axis of largest spread.
   Branch build(int* order, int count) {
     Branch out;
     Box middles;

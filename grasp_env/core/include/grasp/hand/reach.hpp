@@ -1,11 +1,10 @@
 // Inverse kinematics: damped least squares within the joint limits.
 //
-// Fingers that share a joint form a group and are solved together; for most hands every finger is a
-// group. With J the Jacobian of a group's tips, e their remaining error and f the joints that may
-// move, a step is J_f^T (J_f J_f^T + d I)^-1 e. It is the shortest of all steps with the same
-// effect, so fingers with redundant joints stay near their start. The damping d shrinks with |e|^2,
-// so the last steps are Newton's. A joint that would pass its limit stops there and the others
-// compensate.
+// Fingers that share a joint are solved together, as a group. With J the Jacobian of a group's
+// tips, e their remaining error and f the joints that may move, a step is J_f^T (J_f J_f^T + d
+// I)^-1 e, the shortest with this effect, so redundant joints stay near their start. The damping d
+// shrinks with |e|^2, so the last steps are Newton's. A joint that would pass its limit stops there
+// and the others compensate.
 #pragma once
 #include <grasp/math/cholesky.hpp>
 #include <grasp/hand/tree.hpp>
@@ -22,7 +21,6 @@ class Reach {
  public:
   std::vector<FingerGroup> groups;
 
-  // limited: true to stay within the joint limits
   explicit Reach(std::shared_ptr<const Tree> tree, bool limited = true)
       : groups(groups_of(*tree)),
         tree_(tree),
@@ -38,9 +36,9 @@ class Reach {
 
   const Tree& tree() const { return *tree_; }
 
-  // Find the angles (M,) at which the tips are nearest to their targets (N,) [m]. Starts (S, M) are
-  // tried in order. missed: (G,) distance of the worst tip of each group from its target [m].
-  // Joints that move no finger stay as in the first start.
+  // Find the angles (M,) at which the tips are nearest to their targets (N,) [m], from starts (S,
+  // M) in order. missed: (G,) distance of the worst tip of each group [m]. Joints that move no
+  // finger stay as in the first start.
   void solve(const Point* targets, const double* starts, int count, double* angles,
              double* missed) {
     const int joints = tree_->joints();
@@ -60,10 +58,10 @@ class Reach {
 
  private:
   static constexpr double EXACT = 1e-14;  // [m]; rounding of positions of 0.1 m
-  // [rad] of a joint in one step, so that it does not skip the nearest solution
+  // [rad] so that a step does not skip the nearest solution
   static constexpr double LARGEST_STEP = 0.6;
   static constexpr double SLOW = 0.98;  // a step that leaves more of |e|^2 than this is slow
-  // Slow steps, or steps that come no nearer, in a row that mean a dead end.
+  // slow steps, or steps that come no nearer, in a row: a dead end
   static constexpr int MOST_STEPS = 80, MOST_SLOW = 3, MOST_REFUSED = 8;
 
   struct Work {
@@ -139,8 +137,7 @@ class Reach {
     }
   }
 
-  // Write the damped step of the free joints into work.step. Joints stop at their limits. Return
-  // the largest turn.
+  // Write the damped step of the free joints, which stop at their limits. Return the largest turn.
   double write_step(const FingerGroup& group, Work& work, double damping) {
     const int rows = int(work.error.size());
     const int joints = int(group.joints.size());
@@ -193,7 +190,7 @@ class Reach {
     std::vector<FingerGroup> out;
     for (int finger = 0; finger < tree.fingers(); ++finger) {
       const std::vector<int> joints = tree.movers(finger);
-      FingerGroup made{{finger}, joints};
+      FingerGroup merged{{finger}, joints};
       std::vector<FingerGroup> rest;
       for (FingerGroup& group : out) {
         const bool shares = std::any_of(joints.begin(), joints.end(), [&](int j) {
@@ -203,13 +200,14 @@ class Reach {
           rest.push_back(std::move(group));
           continue;
         }
-        made.fingers.insert(made.fingers.end(), group.fingers.begin(), group.fingers.end());
-        made.joints.insert(made.joints.end(), group.joints.begin(), group.joints.end());
+        merged.fingers.insert(merged.fingers.end(), group.fingers.begin(), group.fingers.end());
+        merged.joints.insert(merged.joints.end(), group.joints.begin(), group.joints.end());
       }
-      std::sort(made.fingers.begin(), made.fingers.end());
-      std::sort(made.joints.begin(), made.joints.end());
-      made.joints.erase(std::unique(made.joints.begin(), made.joints.end()), made.joints.end());
-      rest.push_back(std::move(made));
+      std::sort(merged.fingers.begin(), merged.fingers.end());
+      std::sort(merged.joints.begin(), merged.joints.end());
+      merged.joints.erase(std::unique(merged.joints.begin(), merged.joints.end()),
+                          merged.joints.end());
+      rest.push_back(std::move(merged));
       out = std::move(rest);
     }
     std::sort(out.begin(), out.end(),

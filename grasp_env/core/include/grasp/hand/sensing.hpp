@@ -1,5 +1,4 @@
-// The controller's view of a scene: delayed and noisy if requested, and the external wrench as far
-// as known.
+// The controller's view of a scene, with delay and noise, and the external wrench as far as known.
 #pragma once
 #include <grasp/hand/balance.hpp>
 
@@ -7,9 +6,8 @@ namespace grasp {
 
 // Estimates the external wrench from the object's motion, less contacts and gravity, with a filter:
 // force = d(m v)/dt - sum f - m g and moment = d(R I R^T omega)/dt - sum p x f over one tick, in
-// the object frame at its end. The forces must be means over that tick, as the change of momentum
-// is: those of the last physics step ring if contacts are stiff, and the hand would react. Errors
-// of the modelled mass or gravity appear as a wrench.
+// the object frame at its end. The forces must be means over that tick: those of the last physics
+// step ring if contacts are stiff. Errors of the modelled mass or gravity appear as a wrench.
 class WrenchEstimator {
  public:
   double tick = 1.0, keep = 0.0;  // [s]; fraction of its value that the filter keeps over a tick
@@ -49,20 +47,19 @@ enum class WrenchSource { measured, estimated, none };
 
 struct SensorSettings {
   WrenchSource wrench = WrenchSource::measured;
-  double tick = 0.0, keep = 0.0;  // [s]; filter of the estimate: see `WrenchEstimator`
-  int delay = 0,
-      wrench_delay = 0;  // ticks of delay of everything, and of measured wrenches in addition
-  double pose_noise = 0.0,
-         tactile_noise = 0.0;  // standard deviations: [m] per axis, fraction of the force per axis
+  double tick = 0.0, keep = 0.0;    // [s]; filter of the estimate: see `WrenchEstimator`
+  int delay = 0, wrench_delay = 0;  // ticks: of everything, and of measured wrenches in addition
+  // standard deviations per axis: [m], fraction of the force
+  double pose_noise = 0.0, tactile_noise = 0.0;
 };
 
 class Sensors {
  public:
   const SensorSettings settings;
 
-  Sensors(std::shared_ptr<const Scene> given, const SensorSettings& settings)
+  Sensors(std::shared_ptr<const Scene> scene, const SensorSettings& settings)
       : settings(settings),
-        scene_(std::move(given)),
+        scene_(std::move(scene)),
         estimator_(settings.tick, settings.keep),
         seen_(scene_->now),
         reported_(settings.delay + settings.wrench_delay + 1) {
@@ -71,7 +68,6 @@ class Sensors {
   Sensors(const Sensors&) = delete;
 
   bool perfect = false;  // ignore delay and noise, while the hand takes over the object
-  // True if the scene is seen without delay and noise.
   bool exact() const {
     return perfect ||
            !(settings.delay || settings.pose_noise > 0.0 || settings.tactile_noise > 0.0);
@@ -79,7 +75,6 @@ class Sensors {
   const Snapshot& seen() const { return exact() ? scene_->now : seen_; }
   Vec6 external{};  // known wrench on the object [N, N m], object frame
 
-  // Return to the state before the first tick: the scene stands still.
   void reset() {
     estimator_.reset();
     std::fill(delayed_.begin(), delayed_.end(), scene_->now);
@@ -87,8 +82,8 @@ class Sensors {
     tick_ = 0;
   }
 
-  // Observe the scene of this tick. wrench: (6,) the external wrench that a perfect sensor reports.
-  // noise: (3 + 3N,) standard normal numbers if anything is noisy. gravity: as far as known.
+  // Observe the scene of this tick. wrench: (6,) that a perfect sensor reports. noise: (3 + 3N,)
+  // standard normal numbers if anything is noisy. gravity: as far as known.
   void see(const double* wrench, const double* noise, const Body& body, const Point& gravity) {
     if (!exact()) observe_with_delay(noise);
     std::copy(wrench, wrench + 6, reported_[tick_ % reported_.size()].begin());

@@ -1,8 +1,8 @@
 // The state of a scene after a step of a simulator.
 //
-// The geometry is that of spherical tips and the object's surface, computed from the current poses:
-// an engine's own contact points belong to the start of the last step, and a finger that does not
-// touch has none. Only the forces come from the engine.
+// The geometry follows from the current poses, spherical tips and the object's surface: an engine's
+// contact points belong to the start of the step, and exist only for fingers that touch. Only the
+// forces come from the engine.
 #pragma once
 #include <cstdint>
 #include <span>
@@ -24,8 +24,7 @@ struct ContactRow {
   Point force;  // ON the object [N]
 };
 
-// One reading of a simulator as flat numbers: angles (M,) [rad], their rates (M,) [rad/s], a
-// `BodyRow`, and `ContactRow`s.
+// One reading as flat numbers: angles (M,) [rad], rates (M,) [rad/s], a `BodyRow`, `ContactRow`s.
 class Reading {
  public:
   static constexpr int BODY = sizeof(BodyRow) / sizeof(double),
@@ -49,21 +48,20 @@ class Reading {
   int joints_, contacts_;
 };
 
-// A hand, an object, and their state; N tips, M joints. Copying between snapshots of one hand
-// allocates nothing.
+// A hand, an object, and their state; N tips, M joints. Assignment allocates nothing.
 class Snapshot {
  public:
   static constexpr double LOST_DISTANCE = 10.0;  // [m]; an object farther away has left the hand
-  // [m] from the tip's contact point; a contact farther away belongs to the link
+  // [m] from the tip's contact point; farther contacts are the link's
   static constexpr double STRAY_DISTANCE = 5e-3;
 
-  Point position{}, linear{},
-      angular{};                      // the object's centre [m], its velocity [m/s], [rad/s], world
+  // the object's centre [m], its velocity [m/s], [rad/s], world
+  Point position{}, linear{}, angular{};
   Rotation rotation;                  // object frame to world frame
   double stray = 0.0;                 // total force of other parts of the hand on the object [N]
   std::vector<double> angles, rates;  // (M,) [rad], [rad/s]
-  std::vector<Point> points, normals;  // (N,) surface point nearest to each tip [m], inward unit
-                                       // normal there, object frame
+  // (N,) surface point nearest to each tip [m], inward unit normal there, object frame
+  std::vector<Point> points, normals;
   // (N,) point of each tip nearest to the object, centre of the tip [m], world
   std::vector<Point> touch, tips;
   // (N,) distance of tip and object [m], tangential speed of the tip on the object [m/s]
@@ -89,7 +87,7 @@ class Snapshot {
         gravity_torques(angles),
         posture(tree) {}
 
-  // gravity: [m/s^2], world. Return false, with nothing changed, if a number is not finite or the
+  // gravity: [m/s^2], world. Return false, with nothing changed, if numbers are not finite or the
   // object is far away.
   bool read(const Tree& tree, const Surface& surface, const Point& gravity,
             const Reading& reading) {
@@ -112,9 +110,8 @@ class Snapshot {
     return true;
   }
 
-  // Move joints and object on by a time [s] at their velocities, and update the geometry; forces
-  // stay. Without this a delay removes damping: forces that press on a turned object as it was turn
-  // it further.
+  // Move joints and object on by a time [s] at their velocities; forces stay. Without this a delay
+  // removes damping: forces that press on a turned object as it was turn it further.
   void advance(const Tree& tree, const Surface& surface, const Point& gravity, double time) {
     for (int j = 0; j < tree.joints(); ++j)
       angles[j] =
@@ -144,18 +141,17 @@ class Snapshot {
            std::abs(a.t) < LOST_DISTANCE;
   }
 
-  // Everything that follows from angles, rates and the object's state.
   void place(const Tree& tree, const Surface& surface, const Point& gravity) {
     posture.trace(angles.data());
     posture.support(gravity, gravity_torques.data());
     for (int i = 0; i < tree.fingers(); ++i) {
       const Tip& tip = tree.tips[i];
       tips[i] = posture.tip(i);
-      const Nearest found = surface.nearest(to_object(tips[i] - position));
-      points[i] = found.point;
-      normals[i] = found.inward;
-      gaps[i] = found.distance - tip.radius;
-      const Point inward = rotation * found.inward;
+      const Nearest nearest = surface.nearest(to_object(tips[i] - position));
+      points[i] = nearest.point;
+      normals[i] = nearest.inward;
+      gaps[i] = nearest.distance - tip.radius;
+      const Point inward = rotation * nearest.inward;
       touch[i] = tips[i] + tip.radius * inward;
       const Point slides =
           posture.velocity(tip.link, touch[i], rates.data()) - object_velocity(touch[i]);
@@ -167,7 +163,7 @@ class Snapshot {
   void measure(const Tree& tree, std::span<const ContactRow> contacts) {
     stray = 0.0;
     std::fill(touching.begin(), touching.end(), 0.0);
-    std::fill(forces.begin(), forces.end(), Point{0.0, 0.0, 0.0});
+    std::fill(forces.begin(), forces.end(), Point{});
     for (const ContactRow& row : contacts) {
       const int finger = tree.finger_at(int(row.link));
       if (finger < 0 || length(row.place - touch[finger]) > STRAY_DISTANCE) {

@@ -1,6 +1,5 @@
-// Surfaces of objects and their nearest point to a given one. A spherical fingertip of radius r
-// with its centre at distance d touches if d = r, at the point nearest to the centre. Body frame;
-// the axis of cylinders and capsules is y.
+// Surfaces of objects and their point nearest to another, such as the centre of a spherical tip.
+// Body frame; the axis of cylinders and capsules is y.
 #pragma once
 #include <variant>
 #include <grasp/hand/mesh.hpp>
@@ -13,7 +12,7 @@ struct Cuboid {
   Nearest nearest(const Point& center) const {
     constexpr double LOST = 1e-280;  // a smaller squared length has lost its digits
     Point point;
-    Point normal{0.0, 0.0, 0.0};
+    Point normal{};
     double depth = -infinity;
     int axis = 0;
     for (int k = 0; k < 3; ++k) {
@@ -83,7 +82,7 @@ struct Faces {
 struct Surface {
   std::variant<Cuboid, Cylinder, Capsule, Faces> shape;
 
-  // Nearest point of the surface; the centre must be finite.
+  // The centre must be finite.
   Nearest nearest(const Point& center) const {
     return std::visit([&](const auto& kind) { return kind.nearest(center); }, shape);
   }

@@ -1,5 +1,5 @@
-// A hand as a tree of links, each moved by a joint: positions of the links, motion of their points,
-// and the torques of forces on them.
+// A hand as a tree of links, each moved by a joint: their positions and motion, and the torques of
+// forces on them.
 #pragma once
 #include <array>
 #include <algorithm>
@@ -19,8 +19,7 @@ struct Link {
   Point center;                       // of mass, in its own frame [m]
   double lower, upper, torque_limit;  // [rad], [rad], [N m]; for a sliding joint [m], [m], [N]
   bool sliding = false;               // moves along its axis
-  int driver = -1;  // joint that it is coupled to, which is not coupled itself: angle = ratio * its
-                    // angle + shift
+  int driver = -1;  // joint that it is coupled to, itself free: angle = ratio * its angle + shift
   double ratio = 1.0, shift = 0.0;
   // xx, xy, xz, yy, yz, zz about the centre of mass [kg m^2], in its own frame
   std::array<double, 6> inertia{};
@@ -53,7 +52,7 @@ struct Tree {
       if (tip.link < 0 || tip.link >= joints()) return "a tip must be on a link";
     return nullptr;
   }
-  // Set the coupled joints from their drivers; angles: (M,).
+  // Set the coupled joints of angles (M,) from their drivers.
   void couple(double* angles) const {
     for (int j = 0; j < joints(); ++j)
       if (const Link& link = links[j]; link.coupled())
@@ -61,8 +60,7 @@ struct Tree {
   }
   // The joint whose motor moves a joint.
   int mover(int joint) const { return links[joint].coupled() ? links[joint].driver : joint; }
-  // The joints whose motors move a fingertip, ascending. The driver of a coupled joint may be in
-  // another finger.
+  // The joints whose motors move a fingertip, ascending; drivers may be in another finger.
   std::vector<int> movers(int finger) const {
     std::vector<int> out;
     for (int j = tips[finger].link; j >= 0; j = links[j].parent) out.push_back(mover(j));
@@ -70,7 +68,7 @@ struct Tree {
     out.erase(std::unique(out.begin(), out.end()), out.end());
     return out;
   }
-  // Number of the given fingers that the motor of each joint moves, (M,).
+  // Number of these fingers that the motor of each joint moves, (M,).
   std::vector<int> fingers_per_motor(const std::vector<int>& fingers) const {
     std::vector<int> out(joints());
     for (int i : fingers)
@@ -89,34 +87,34 @@ struct Tree {
     return -1;
   }
 
-  // The tree of one finger: only its own joints, whose indices are written to `joints`. Of the
-  // joints coupled to a joint of another finger, the first becomes free, with that joint's limits
-  // and motor, and the others follow it.
+  // The tree of one finger: its own joints, whose indices are written to `joints`. Of those coupled
+  // to a joint of another finger, the first becomes free, with that joint's limits and motor, and
+  // the others follow it.
   Tree chain(int finger, std::vector<int>& joints) const {
     joints.clear();
     for (int j = tips[finger].link; j >= 0; j = links[j].parent) joints.insert(joints.begin(), j);
     Tree out{{}, {tips[finger]}};
     for (int j : joints) {
       out.links.push_back(links[j]);
-      Link& made = out.links.back();
-      made.parent = int(out.links.size()) - 2;
-      if (!made.coupled()) continue;
-      const auto driver = std::find(joints.begin(), joints.end(), made.driver);
+      Link& link = out.links.back();
+      link.parent = int(out.links.size()) - 2;
+      if (!link.coupled()) continue;
+      const auto driver = std::find(joints.begin(), joints.end(), link.driver);
       const auto first = std::find_if(joints.begin(), joints.end(),
-                                      [&](int k) { return links[k].driver == made.driver; });
+                                      [&](int k) { return links[k].driver == link.driver; });
       if (driver == joints.end() && *first == j) {
-        const Link& motor = links[made.driver];
-        const auto [low, high] = std::minmax({made.ratio * motor.lower, made.ratio * motor.upper});
-        made.lower = low + made.shift;
-        made.upper = high + made.shift;
-        made.torque_limit = motor.torque_limit / std::abs(made.ratio);
-        made.driver = -1;
+        const Link& motor = links[link.driver];
+        const auto [low, high] = std::minmax({link.ratio * motor.lower, link.ratio * motor.upper});
+        link.lower = low + link.shift;
+        link.upper = high + link.shift;
+        link.torque_limit = motor.torque_limit / std::abs(link.ratio);
+        link.driver = -1;
       } else if (driver == joints.end()) {
-        made.driver = int(first - joints.begin());
-        made.ratio /= links[*first].ratio;
-        made.shift -= made.ratio * links[*first].shift;
+        link.driver = int(first - joints.begin());
+        link.ratio /= links[*first].ratio;
+        link.shift -= link.ratio * links[*first].shift;
       } else {
-        made.driver = int(driver - joints.begin());
+        link.driver = int(driver - joints.begin());
       }
     }
     out.tips[0].link = int(joints.size()) - 1;
@@ -158,8 +156,8 @@ class Posture {
   }
   Point tip(int finger) const { return at(tree_->tips[finger].link, tree_->tips[finger].center); }
 
-  // Call f(j, velocity of a point of the link per speed of joint j): contributions to the
-  // Jacobian's columns; those of a coupled joint go to its driver.
+  // Call f(j, velocity of a point of the link per speed of joint j); a coupled joint counts for its
+  // driver.
   template <class F> void each_moving_joint(int link, const Point& place, F&& f) const {
     for (int j = link; j >= 0; j = tree_->links[j].parent) {
       const Link& joint = tree_->links[j];
@@ -177,7 +175,7 @@ class Posture {
       if (!joint.sliding) f(tree_->mover(j), joint.coupled() ? joint.ratio * axes[j] : axes[j]);
     }
   }
-  // Write the Jacobian (3, M) of a point into `out`.
+  // Write the Jacobian (3, M) of a point.
   void jacobian(int link, const Point& place, double* out) const {
     const int count = tree_->joints();
     std::fill(out, out + 3 * count, 0.0);
@@ -187,16 +185,16 @@ class Posture {
   }
   // Velocity [m/s] of a point fixed to the link; rates: (M,) [rad/s].
   Point velocity(int link, const Point& place, const double* rates) const {
-    Point out{0.0, 0.0, 0.0};
+    Point out{};
     each_moving_joint(link, place, [&](int j, const Point& moves) { out += rates[j] * moves; });
     return out;
   }
-  // torques (M,) += J^T force: the torques with which the link pushes at that point.
+  // torques (M,) += J^T force, as the link pushes at that point.
   void push(int link, const Point& place, const Point& force, double* torques) const {
     each_moving_joint(link, place,
                       [&](int j, const Point& moves) { torques[j] += dot(moves, force); });
   }
-  // torques (M,) += those with which the link applies a moment [N m].
+  // torques (M,) += those of a moment [N m] of the link.
   void twist(int link, const Point& moment, double* torques) const {
     each_turning_joint(link, [&](int j, const Point& turns) { torques[j] += dot(turns, moment); });
   }
@@ -208,20 +206,19 @@ class Posture {
       push(j, at(j, link.center), -link.mass * gravity, torques);
     }
   }
-  // Compute at angles (M,): positions of the links, the Jacobian of the points (N, 3) where the
-  // tips touch, and the supporting torques.
+  // At angles (M,): positions of the links, Jacobian (N, 3, M) of the points (N, 3) where the tips
+  // touch, supporting torques.
   void statics(const double* angles, std::span<const double> points, const Point& gravity,
                std::span<double> jacobian, std::span<double> torques) {
     const int count = tree_->joints();
     trace(angles);
     for (int i = 0; i < tree_->fingers(); ++i)
-      this->jacobian(tree_->tips[i].link, point(&points[3 * i]),
-                     &jacobian[3 * count * i]);  // (N, 3, M)
+      this->jacobian(tree_->tips[i].link, point(&points[3 * i]), &jacobian[3 * count * i]);
     support(gravity, torques.data());
   }
 
-  // Write the mass matrix (M, M) into `out` [kg m^2]: kinetic energy = 1/2 rates^T out rates. Rows
-  // and columns of coupled joints are zero.
+  // Write the mass matrix (M, M) [kg m^2]: kinetic energy = 1/2 rates^T out rates. Rows and columns
+  // of coupled joints are zero.
   void mass_matrix(double* out) const {
     const int count = tree_->joints();
     std::vector<Point> moves(count);
@@ -229,8 +226,8 @@ class Posture {
     std::fill(out, out + count * count, 0.0);
     for (int l = 0; l < count; ++l) {
       const Link& link = tree_->links[l];
-      std::fill(moves.begin(), moves.end(), Point{0.0, 0.0, 0.0});
-      std::fill(turns.begin(), turns.end(), Point{0.0, 0.0, 0.0});
+      std::fill(moves.begin(), moves.end(), Point{});
+      std::fill(turns.begin(), turns.end(), Point{});
       each_moving_joint(l, at(l, link.center), [&](int j, const Point& a) { moves[j] += a; });
       each_turning_joint(l, [&](int j, const Point& a) { turns[j] += frames[l].transposed(a); });
       const auto& i = link.inertia;

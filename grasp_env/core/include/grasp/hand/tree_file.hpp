@@ -1,9 +1,7 @@
-// A hand as one file. Python writes it from URDFs and meshes (`HandKinematics.export`); C++ reads
-// it without Python.
+// A hand as one file, written by Python (`HandKinematics.export`).
 //
-// Kind "GRASPH1
-// " of `number_file.hpp`: numbers of links and tips; the numbers of each `Link` in their order,
-// with 1e300 for a missing limit; the numbers of each `Tip`.
+// Kind "GRASPH1\n" of `number_file.hpp`: numbers of links and tips; the numbers of each `Link`
+// in their order, with 1e300 for a missing limit; the numbers of each `Tip`.
 #pragma once
 #include <stdexcept>
 #include <grasp/hand/tree.hpp>
@@ -21,13 +19,13 @@ class TreeFile {
     file.put(tree.fingers());
     for (Link link : tree.links) {
       file.put(link.parent);
-      each(link, [&](double& value) { file.put(std::clamp(value, -NONE, NONE)); });
+      for_each(link, [&](double& value) { file.put(std::clamp(value, -NONE, NONE)); });
       file.put(int(link.sliding));
       file.put(link.driver);
     }
     for (Tip tip : tree.tips) {
       file.put(tip.link);
-      each(tip, [&](double& value) { file.put(value); });
+      for_each(tip, [&](double& value) { file.put(value); });
     }
     return file.file(KIND);
   }
@@ -47,7 +45,7 @@ class TreeFile {
     for (int j = 0; j < links && file.good(); ++j) {
       Link& link = tree.links.emplace_back();
       link.parent = file.whole(j - 1, -1);
-      each(link, [&](double& value) { value = file.number(); });
+      for_each(link, [&](double& value) { value = file.number(); });
       for (double* limit : {&link.lower, &link.upper, &link.torque_limit})
         if (std::abs(*limit) >= NONE) *limit = std::copysign(infinity, *limit);
       link.sliding = file.whole(1);
@@ -56,7 +54,7 @@ class TreeFile {
     for (int i = 0; i < tips && file.good(); ++i) {
       Tip& tip = tree.tips.emplace_back();
       tip.link = file.whole(links - 1);
-      each(tip, [&](double& value) { value = file.number(); });
+      for_each(tip, [&](double& value) { value = file.number(); });
     }
     if (!file.good() || file.bytes_left() || tree.fault()) return {};
     return tree;
@@ -75,23 +73,23 @@ class TreeFile {
   static constexpr std::string_view KIND = "GRASPH1\n";
   static constexpr double NONE = 1e300;
 
-  template <class F> static void each(Point& a, F&& f) {
+  template <class F> static void for_each(Point& a, F&& f) {
     f(a.u);
     f(a.o);
     f(a.t);
   }
-  template <class F> static void each(Link& link, F&& f) {
-    each(link.offset, f);
-    for (Point& row : link.rotation.rows) each(row, f);
-    each(link.axis, f);
+  template <class F> static void for_each(Link& link, F&& f) {
+    for_each(link.offset, f);
+    for (Point& row : link.rotation.rows) for_each(row, f);
+    for_each(link.axis, f);
     f(link.mass);
-    each(link.center, f);
+    for_each(link.center, f);
     for (double* value : {&link.lower, &link.upper, &link.torque_limit, &link.ratio, &link.shift})
       f(*value);
     for (double& value : link.inertia) f(value);
   }
-  template <class F> static void each(Tip& tip, F&& f) {
-    each(tip.center, f);
+  template <class F> static void for_each(Tip& tip, F&& f) {
+    for_each(tip.center, f);
     f(tip.radius);
   }
 };

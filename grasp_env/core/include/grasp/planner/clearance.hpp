@@ -5,12 +5,12 @@
 
 namespace grasp {
 
-// An object in the world frame: its surface, and convex solids whose union is the object.
+// An object, world frame: its surface, and convex solids whose union it is.
 struct Obstacle {
   Surface surface;
   std::vector<Solid> solids;
 
-  explicit Obstacle(Surface given) : surface(std::move(given)), solids(Solid::of(surface)) {}
+  explicit Obstacle(Surface shape) : surface(std::move(shape)), solids(Solid::of(surface)) {}
 };
 
 // Distance of a placed limb from the object [m]; above `enough`, a lower bound.
@@ -43,7 +43,7 @@ struct Limb {
   }
 };
 
-// Pairs of links whose distance is not checked: those of one joint, and those that always touch.
+// Pairs of links whose distance is not checked: of one joint, or always touching.
 class IgnoredPairs {
  public:
   explicit IgnoredPairs(const Tree& tree, const std::vector<std::pair<int, int>>& pairs = {})

@@ -2,8 +2,8 @@
 //
 // A solid is all points within a radius of its core: a box (also a line or a point), a cylinder or
 // the hull of corners. The distance of two cores is that of the origin from their difference {a -
-// b}, which the algorithms see only through support points: Gilbert, Johnson and Keerthi's descent
-// over simplices if they are apart, an expanding polytope if they overlap.
+// b}: Gilbert, Johnson and Keerthi's descent over simplices if they are apart, an expanding
+// polytope if they overlap.
 #pragma once
 #include <array>
 #include <memory>
@@ -23,15 +23,14 @@ struct Solid {
   using Corners = std::shared_ptr<const std::vector<Point>>;  // relative to a point inside
 
   Core core = Core::box;
-  Point half{
-      0.0, 0.0,
-      0.0};  // [m] half the core's sides; for a cylinder about z: radius, radius, half its height
-  double radius = 0.0;          // [m] around the core
-  Point center{0.0, 0.0, 0.0};  // of the core [m]
-  Rotation frame;               // rotation of the core relative to the solid's frame
-  Corners corners;              // of a hull [m], relative to its centre, which is inside
-  double size = 0.0;            // [m] largest distance of a core's point from its centre
-  Segment axis;                 // [m] if the core is a line
+  // [m] half the core's sides; for a cylinder about z: radius, radius, half its height
+  Point half{};
+  double radius = 0.0;  // [m] around the core
+  Point center{};       // of the core [m]
+  Rotation frame;       // rotation of the core relative to the solid's frame
+  Corners corners;      // of a hull [m], relative to its centre, which is inside
+  double size = 0.0;    // [m] largest distance of a core's point from its centre
+  Segment axis;         // [m] if the core is a line
 
   // half: see above; a line along z if the first two are 0.
   static Solid of(Core core, const Point& half, double radius, const Point& center,
@@ -54,10 +53,10 @@ struct Solid {
     out.size = out.half[2];
     return out;
   }
-  // Convex solids whose union is an object. Solids have their axis along z, objects along y.
+  // Convex solids whose union is an object, which has its axis along y instead of z.
   static std::vector<Solid> of(const Surface& surface) {
     static constexpr double FROM_Z[9] = {1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, -1.0, 0.0};
-    const Point middle{0.0, 0.0, 0.0};
+    const Point middle{};
     if (const auto* box = std::get_if<Cuboid>(&surface.shape))
       return {of(Core::box, box->half, 0.0, middle, {})};
     if (const auto* can = std::get_if<Cylinder>(&surface.shape))
@@ -83,7 +82,6 @@ struct Solid {
   bool is_line() const { return core == Core::box && half[0] == 0.0 && half[1] == 0.0; }
 };
 
-// A solid at a place.
 struct Placed {
   const Solid* solid;
   Segment axis;    // if it is a line [m]
@@ -156,8 +154,8 @@ inline double gap(const Segment& a, const Segment& b) {
   return length(r + s * u - t * v);
 }
 
-// Signed distance of a segment from the surface of a simple shape [m], by golden sections; stops
-// once it is certainly above `enough`.
+// Signed distance of a segment from a simple surface [m], by golden sections; stops once it is
+// certainly above `enough`.
 inline double gap(const Surface& surface, const Segment& a, double enough = infinity) {
   constexpr double GOLDEN = 0.6180339887498949;
   constexpr int SECTIONS = 14;  // leave a thousandth of the segment
@@ -193,18 +191,18 @@ struct Simplex {
   std::array<Point, 4> at;
   int count = 0;
 
-  // Find the point of the hull nearest to the origin, and keep only the points that span it, the
-  // last one among them. Return false if the origin is inside all four.
+  // Find the point of the hull nearest to the origin; keep only the points that span it, the last
+  // one among them. Return false if the origin is inside all four.
   bool nearest(Point& best) {
     constexpr double FLAT = 1e-24;  // [m^2, m^4] below which there is no edge, no triangle
     const int last = count - 1;
     double least = infinity;
     std::array<int, 3> kept{};
     int keeps = 0;
-    const auto take = [&](const Point& found, int members, std::array<int, 3> these) {
-      if (const double square = dot(found, found); square < least) {
+    const auto take = [&](const Point& next, int members, std::array<int, 3> these) {
+      if (const double square = dot(next, next); square < least) {
         least = square;
-        best = found;
+        best = next;
         keeps = members;
         kept = these;
       }
@@ -268,29 +266,29 @@ inline double separation(const Placed& a, const Placed& b, double enough = infin
   return length(away);
 }
 
-// Shortest translation that separates two overlapping cores [m], to 1 um; negative: minus the
-// distance to a plane between them.
+// Shortest translation that separates two overlapping cores [m], to 1 um; negative: minus their
+// distance.
 inline double overlap(const Placed& a, const Placed& b) {
   constexpr double EXACT = 1e-6, FLAT = 1e-12;  // [m], [m^2]
   constexpr int MOST = 120;
   struct Side {
     int a, b, c;
-    Point normal;
-    double height;
-  };  // outward normal, height of the plane above the origin
+    Point normal;   // outward
+    double height;  // of the plane above the origin
+  };
   const auto support = [&](const Point& along) { return a.support(along) - b.support(-along); };
   double least = infinity;  // height above the origin of a plane that bounds the difference
   const auto bound = [&](const Point& normal) {
-    const Point found = support(normal);
-    least = std::min(least, dot(found, normal));
-    return found;
+    const Point corner = support(normal);
+    least = std::min(least, dot(corner, normal));
+    return corner;
   };
   std::vector<Point> corners;
   std::vector<Side> sides;
   std::vector<std::pair<int, int>> edges;
-  Point across{0.0, 0.0, 0.0};
+  Point across{};
   for (int k = 0; k < 3; ++k) {  // the two points furthest apart
-    Point axis{0.0, 0.0, 0.0};
+    Point axis{};
     axis[k] = 1.0;
     const Point high = bound(axis);
     const Point low = bound(-axis);
@@ -307,9 +305,9 @@ inline double overlap(const Placed& a, const Placed& b) {
   if (!(length(across) > 0.0)) return least;
   const Frame around(normalised(across), nullptr);
   for (const Point& way : {around.o, around.t}) {
-    const Point found = furthest(way);
-    const Point area = cross(across, found - corners[0]);
-    if (corners.size() == 2 && length(area) > FLAT) corners.push_back(found);
+    const Point corner = furthest(way);
+    const Point area = cross(across, corner - corners[0]);
+    if (corners.size() == 2 && length(area) > FLAT) corners.push_back(corner);
   }
   if (corners.size() < 3) return least;
   Point normal = normalised(cross(across, corners[2] - corners[0]));

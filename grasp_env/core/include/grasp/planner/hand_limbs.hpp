@@ -23,7 +23,7 @@ struct HandLimbs {
       fingers.emplace_back(*tree, i, all, rest, fingers_per_motor);
   }
 
-  // The same hand with its palm rotated, then shifted [m], and with another rest posture.
+  // The same hand with its palm rotated, then shifted [m], and another rest posture.
   HandLimbs moved(const Rotation& turn, const Point& shift, const double* rest) const {
     auto hand = std::make_shared<Tree>(*tree);
     for (Link& link : hand->links)
@@ -37,8 +37,8 @@ struct HandLimbs {
     return {hand, std::move(limbs), together, rest};
   }
 
-  // Smallest distances [m]: of the links, without the spheres of fingertips, from the object; of
-  // links and tips from one another. Above `enough`, a lower bound.
+  // Smallest distances [m]: of the links, without the tips' spheres, from the object; of links and
+  // tips from one another. Above `enough`, a lower bound.
   std::pair<double, double> clearance(const Obstacle& object, const double* angles,
                                       double enough = infinity) const {
     Posture posture(tree);
@@ -59,8 +59,8 @@ struct HandLimbs {
     }
     return {away, apart};
   }
-  // Distance of the rest of a finger and the palm, in a posture, from a ball that touches the tip
-  // and is centred at `middle`; at most `enough` [m].
+  // Distance of the rest of a finger and the palm from a ball about `middle` that touches the tip;
+  // at most `enough` [m].
   double beside(int finger, const Posture& posture, const Point& middle, double enough) const {
     const double radius = length(posture.tip(finger) - middle) - tree->tips[finger].radius;
     const Solid ball = Solid::of(Segment{middle, middle}, std::max(radius, 0.0));
@@ -70,7 +70,6 @@ struct HandLimbs {
         least = std::min(least, gap(Placed(ball), all[c].at(posture), least));
     return least;
   }
-  // Distance of the palm from the object [m].
   double palm_gap(const Obstacle& object) const {
     double least = infinity;
     for (const Limb& limb : all)

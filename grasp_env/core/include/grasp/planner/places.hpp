@@ -1,11 +1,9 @@
 // Places on an object that one finger of a hand can touch on its own.
 //
-// A finger whose tip can go anywhere reaches them by inverse kinematics. A finger with fewer
-// joints, or in a plane, finds them by closing: from a drawn posture one of its joints closes until
-// the tip touches. Joints that move several fingers stay fixed, unless a finger has no others, such
-// as jaws with one motor: then the motor of its last joint closes it.
-//
-// Both ways share the checks of a place, so the file is long.
+// A finger whose tip can go anywhere reaches them by inverse kinematics. For others, one joint
+// closes from a drawn posture until the tip touches. Joints that move several fingers stay fixed,
+// unless a finger has no others, such as jaws with one motor: then the motor of its last joint
+// closes it.
 #pragma once
 #include <utility>
 #include <grasp/planner/place.hpp>
@@ -20,11 +18,9 @@ class Finger {
   std::vector<int> carried;  // indices of its limbs in the hand
   std::vector<Limb> limbs;   // links indexed as in the finger
   bool free = false;         // its tip can go anywhere nearby
-  int closer = -1;  // motor in the hand that closes it if it has none of its own; may close other
-                    // fingers as well
+  int closer = -1;  // motor in the hand that closes it, and others, if it has none of its own
 
-  // home: (M,) [rad] of the hand, start of the inverse kinematics; users: (M,) number of fingers
-  // that each motor moves
+  // home: (M,) [rad] start of the inverse kinematics
   Finger(const Tree& hand, int number, const std::vector<Limb>& all, const double* home,
          const std::vector<int>& fingers_per_motor)
       : tree_(make_tree(hand, number, home, fingers_per_motor)), reach_(tree_), posture_(tree_) {
@@ -45,7 +41,7 @@ class Finger {
 
   bool carries(int limb) const { return std::binary_search(carried.begin(), carried.end(), limb); }
 
-  // The angle of `closer` for given angles of the finger's joints.
+  // The angle of `closer` for angles of the finger's joints.
   double closed(const std::vector<double>& angles) const {
     const Link& link = tree_->links[own_joints_[0]];
     return (angles[own_joints_[0]] - link.shift) / link.ratio;
@@ -55,46 +51,47 @@ class Finger {
   void find(const Obstacle& object, const Demand& demand, const std::vector<Ray>& rays,
             const Margins& margins, std::size_t most, std::vector<Place>& places, Misses& misses) {
     places.clear();
-    // one joint meets the object in few ways, two joints along lines
+    // one joint meets the object in few ways, two along lines
     const std::size_t tries = free || own_joints_.size() > 2 ? rays.size()
                               : own_joints_.size() == 2      ? 40
                                                              : 4;
     for (std::size_t r = 0; r < std::min(rays.size(), tries); ++r) {
       const Ray& ray = rays[r];
       if (places.size() == most) return;
-      Nearest place;
-      Place made;
+      Nearest nearest;
+      Place place;
       if (free) {
         const Mesh* mesh = object.surface.mesh();
-        if (!(mesh ? touch_mesh(*mesh, ray, place) : walk_to_surface(object.surface, ray, place)))
+        if (!(mesh ? touch_mesh(*mesh, ray, nearest)
+                   : walk_to_surface(object.surface, ray, nearest)))
           continue;
-        if (!is_flat(object.surface, place, margins.flat)) {
+        if (!is_flat(object.surface, nearest, margins.flat)) {
           ++misses.edge;
           continue;
         }
-        if (!solve_reach(place, margins.joints, misses)) continue;
+        if (!solve_reach(nearest, margins.joints, misses)) continue;
       } else if (!close_joint(object.surface, demand, ray.draws, r % 2 == 0 ? AROUND : 1.0, margins,
-                              place, made.start, misses)) {
+                              nearest, place.start, misses)) {
         continue;
       }
-      if (!pieces_agree(object, place, margins.pieces)) {
+      if (!pieces_agree(object, nearest, margins.pieces)) {
         ++misses.edge;
         continue;
       }
-      if (!keeps_clear(object, margins.clearance, made.limbs)) {
+      if (!keeps_clear(object, margins.clearance, place.limbs)) {
         ++misses.touching;
         continue;
       }
-      made.point = place.point;
-      made.normal = place.inward;
-      made.angles = angles_;
-      write_efforts(demand, made.efforts);
-      places.push_back(std::move(made));
+      place.point = nearest.point;
+      place.normal = nearest.inward;
+      place.angles = angles_;
+      write_efforts(demand, place.efforts);
+      places.push_back(std::move(place));
     }
   }
 
   // Find the joint angles with the tip `away` from a place [m]. Return false if the tip cannot be
-  // there, or if the object is on the other side as well.
+  // there, or the object is on that side as well.
   bool stand_off(const Surface& surface, const Place& place, double away,
                  std::vector<double>& angles) {
     if (!free) {
@@ -116,8 +113,7 @@ class Finger {
 
  private:
   static constexpr double AROUND = 0.15;  // fraction of the joints' ranges, around the rest posture
-  std::vector<int> own_joints_;  // joints with a motor that moves no other finger, or of `closer`;
-                                 // indexed as in the finger
+  std::vector<int> own_joints_;           // in the finger, with a motor of its own or `closer`
   std::shared_ptr<const Tree> tree_;
   Reach reach_;
   Posture posture_;
@@ -157,9 +153,9 @@ class Finger {
     posture_.trace(angles_.data());
   }
 
-  // True if the tip can move in all directions in at least one of several postures.
+  // True if the tip can move in all directions in one of several postures.
   bool is_spatial() {
-    // of the determinant of J J^T over the cube of its mean eigenvalue
+    // determinant of J J^T over the cube of its mean eigenvalue
     constexpr double LEAST = 1e-4;
     const int count = int(joints.size());
     std::vector<double> jacobian(3 * count);
@@ -197,8 +193,8 @@ class Finger {
     return true;
   }
 
-  // Find where the tip touches a mesh near a drawn point that faces the finger. Return false if the
-  // tip finds no place there.
+  // Find where the tip touches a mesh near a drawn point that faces the finger. Return false if it
+  // fits nowhere.
   bool touch_mesh(const Mesh& mesh, const Ray& ray, Nearest& place) const {
     constexpr double FACING = 0.1, FITS = 1e-6;  // smallest cosine; [m] of the tip in the object
     constexpr int STEPS = 6;
@@ -214,11 +210,9 @@ class Finger {
     return false;
   }
 
-  // True if the convex pieces of a mesh are as near to the tip as the mesh itself, and face it
-  // alike.
+  // True if the convex pieces of a mesh are as near to the tip as the mesh, and face it alike.
   bool pieces_agree(const Obstacle& object, const Nearest& place, double most) const {
-    constexpr double ASIDE = 3e-3;  // [m] over which their slope is measured; it may deviate by
-                                    // `most` over this distance
+    constexpr double ASIDE = 3e-3;  // [m] over which their slope may deviate by `most`
     if (!object.surface.mesh() || object.solids.size() == 1) return true;
     const double radius = tree_->tips[0].radius;
     const auto above = [&](const Point& aside) {
@@ -242,8 +236,8 @@ class Finger {
     return {side, cross(n, side)};
   }
 
-  // True if the normal turns by less than 20 degrees up to `size` away. On a mesh, whose faces are
-  // rough, the normal is that of a ball of this size.
+  // True if the normal turns by less than 20 degrees up to `size` away. On rough meshes, it is that
+  // of a ball of this size.
   static bool is_flat(const Surface& surface, const Nearest& place, double size) {
     const double above = (surface.mesh() ? 1.0 : 0.1) * size;
     const Point& n = place.inward;
@@ -253,35 +247,31 @@ class Finger {
     return true;
   }
 
+  static bool miss(int& count) {
+    ++count;
+    return false;
+  }
   bool solve_reach(const Nearest& place, double margin, Misses& misses) {
     const Point tip = place.point - tree_->tips[0].radius * place.inward;
     double missed;
     reach_.solve(&tip, home_.data(), 1, angles_.data(), &missed);
-    if (missed > REACHED) {
-      ++misses.far;
-      return false;
-    }
+    if (missed > REACHED) return miss(misses.far);
     for (int j : own_joints_)
       if (angles_[j] < tree_->links[j].lower + margin ||
-          angles_[j] > tree_->links[j].upper - margin) {
-        ++misses.limit;
-        return false;
-      }
+          angles_[j] > tree_->links[j].upper - margin)
+        return miss(misses.limit);
     return true;
   }
 
-  // Close one joint from a drawn posture until the tip touches; that posture is in `angles_`,
-  // `start` is the one with the tip clear. spread: range of the drawn postures around the rest
-  // posture, as a fraction of the joints' ranges.
+  // Close one joint from a drawn posture until the tip touches, in `angles_`; `start` has the tip
+  // clear. spread: range of the drawn postures around the rest posture, as a fraction of the
+  // joints' ranges.
   bool close_joint(const Surface& surface, const Demand& demand, const Vec6& draws, double spread,
                    const Margins& margins, Nearest& place, std::vector<double>& start,
                    Misses& misses) {
     constexpr int STEPS = 24, HALVES = 40;
     constexpr double PUSH = 0.4;  // of the tip's largest motion: smallest part along the normal
-    if (own_joints_.empty()) {
-      ++misses.far;
-      return false;
-    }
+    if (own_joints_.empty()) return miss(misses.far);
     const int count = int(own_joints_.size());
     for (int k = 0; k < count; ++k) {
       const double from = low(own_joints_[k]) + margins.joints;
@@ -308,29 +298,23 @@ class Finger {
         (distance(0.5 * (off + on)) > away ? off : on) = 0.5 * (off + on);
       return off;
     };
-    std::array<double, STEPS + 1> found;
-    for (int k = 0; k <= STEPS; ++k) found[k] = distance(double(k) / STEPS);
-    std::array<int, 2 * STEPS> meets;  // k > 0: the tip meets the object on the way up to step k; k
-                                       // < 0: down to step -k - 1
+    std::array<double, STEPS + 1> away;
+    for (int k = 0; k <= STEPS; ++k) away[k] = distance(double(k) / STEPS);
+    // k > 0: the tip meets the object on the way up to step k; k < 0: down to step -k - 1
+    std::array<int, 2 * STEPS> meets;
     int ways = 0;
     for (int k = 1; k <= STEPS; ++k) {
-      if (found[k - 1] > 0.0 && found[k] <= 0.0) meets[ways++] = k;
-      if (found[k] > 0.0 && found[k - 1] <= 0.0) meets[ways++] = -k;
+      if (away[k - 1] > 0.0 && away[k] <= 0.0) meets[ways++] = k;
+      if (away[k] > 0.0 && away[k - 1] <= 0.0) meets[ways++] = -k;
     }
-    if (ways == 0) {
-      ++misses.far;
-      return false;
-    }
+    if (ways == 0) return miss(misses.far);
     const int meet = meets[std::min(int(draws[(count - 1) % 5] * ways), ways - 1)];
     const int back = meet > 0 ? -1 : 1;
     const int inside = meet > 0 ? meet : -meet - 1;
     const double touching = between(double(inside + back) / STEPS, double(inside) / STEPS, 0.0);
     int clear = inside + back;
-    while (clear >= 0 && clear <= STEPS && found[clear] < demand.start) clear += back;
-    if (clear < 0 || clear > STEPS) {
-      ++misses.start;
-      return false;
-    }
+    while (clear >= 0 && clear <= STEPS && away[clear] < demand.start) clear += back;
+    if (clear < 0 || clear > STEPS) return miss(misses.start);
     if (demand.start > 0.0) {
       const double near = clear == inside + back ? touching : double(clear - back) / STEPS;
       distance(between(double(clear) / STEPS, near, demand.start));
@@ -339,17 +323,11 @@ class Finger {
     }
     start = angles_;
     distance(touching);
-    if (!is_flat(surface, place, margins.flat)) {
-      ++misses.edge;
-      return false;
-    }
+    if (!is_flat(surface, place, margins.flat)) return miss(misses.edge);
     const double at = angles_[joint];
     const double margin = std::min(margins.joints, 0.1 * size);
-    if (at < first + margin || at > first + size - margin) {
-      ++misses.limit;
-      return false;
-    }
-    std::vector<Point> moves(joints.size(), Point{0.0, 0.0, 0.0});
+    if (at < first + margin || at > first + size - margin) return miss(misses.limit);
+    std::vector<Point> moves(joints.size(), Point{});
     posture_.each_moving_joint(int(joints.size()) - 1, posture_.tip(0),
                                [&](int j, const Point& along) { moves[j] += along; });
     double push = 0.0, most = 0.0;
@@ -357,11 +335,7 @@ class Finger {
       push = std::max(push, std::abs(dot(moves[j], place.inward)));
       most = std::max(most, length(moves[j]));
     }
-    if (push < PUSH * most) {
-      ++misses.weak;
-      return false;
-    }
-    return true;
+    return push < PUSH * most ? miss(misses.weak) : true;
   }
 
   // True if the limbs are `margin` away from the object at `angles_`; writes their positions.
@@ -382,7 +356,7 @@ class Finger {
     constexpr double LEAST = 0.05;  // fraction of its limit that a torque keeps at least
     const int count = int(joints.size());
     std::vector<double> weight(count);
-    std::vector<Point> moves(count, Point{0.0, 0.0, 0.0});
+    std::vector<Point> moves(count, Point{});
     posture_.support(demand.gravity, weight.data());
     posture_.each_moving_joint(count - 1, posture_.tip(0),
                                [&](int j, const Point& along) { moves[j] += along; });

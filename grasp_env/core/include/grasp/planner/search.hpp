@@ -1,25 +1,23 @@
 // Search for the contacts with which a hand holds an object best.
 //
-// Every finger has a pool of places that it reaches on its own. A choice of one place per finger is
-// rated by the largest force that any of the given wrenches needs: the total normal force, or its
-// use of the joints' torques if that is more. This rating is a maximum over directions y in wrench
-// space,
+// Every finger has candidate places that it reaches on its own. A choice of one per finger is rated
+// by the largest force that any of the wrenches needs: the total normal force, or its use of the
+// joints' torques if that is more. This rating is a maximum over directions y in wrench space,
 //
 //     max_y  max_w (-w . y) / h(y),  h(y) = max_i max {f . v_i(y) : f in cone i, cost 1},
 //
 // to which each place contributes separately. Its contribution to h, its reply, is tabulated for a
-// few hundred y, so that rating a choice takes a microsecond. The best choices by the table are
-// solved exactly by linear programming, with rays of the round cones generated as columns when
-// needed. The multipliers of these programs become further directions y of the table, the ones that
-// matter.
+// few hundred y, so that rating a choice takes a microsecond. The best choices are solved exactly
+// by linear programming, with rays of the round cones as columns when needed. The multipliers of
+// these programs become further directions y.
 #pragma once
 #include <grasp/planner/hand_limbs.hpp>
 
 namespace grasp {
 
 // Largest work along y of a contact force of cost 1, and the wrench of that force. A soft contact
-// also transmits a moment about its normal, within the ellipsoid (slip / friction)^2 + (moment /
-// torsion)^2 <= (normal force)^2.
+// also transmits a moment about its normal: (slip / friction)^2 + (moment / torsion)^2 <= (normal
+// force)^2.
 struct Reply {
   double work;
   Vec6 wrench;
@@ -61,9 +59,8 @@ struct Reply {
   }
 };
 
-// Smallest cost [N] of contact forces whose wrench is `load`, at most 2 % above the optimum, by the
-// rays from `Reply`; inf: none was found. y: multipliers; load . y over the largest reply is a
-// lower bound.
+// Smallest cost [N] of contact forces with the wrench `load`, to 2 %, by the rays from `Reply`;
+// inf: none was found. y: multipliers; load . y over the largest reply is a lower bound.
 inline double least_force(const std::vector<const Place*>& places, const Demand& demand,
                           const Vec6& load, Vec6& y) {
   constexpr double PENALTY = 1e6;  // [N] price of what no contact force balances
@@ -122,28 +119,28 @@ inline double least_force(const std::vector<const Place*>& places, const Demand&
 class GraspSearch {
  public:
   using Choice = std::vector<int>;  // index of a place per finger
-  struct FoundPose {
-    double force;
+  struct RatedChoice {
+    double force;  // [N] in the worst case
     Choice choice;
-  };  // [N] in the worst case
+  };
 
-  std::vector<std::vector<Place>> pools;  // for each finger
+  std::vector<std::vector<Place>> groups;  // for each finger
   std::vector<Misses> misses;
 
   GraspSearch(std::shared_ptr<HandLimbs> hand, Surface surface, Demand demand,
               std::vector<Vec6> directions)
-      : pools(hand->fingers.size()),
-        misses(pools.size()),
+      : groups(hand->fingers.size()),
+        misses(groups.size()),
         hand_(std::move(hand)),
         object_(std::move(surface)),
         demand_(std::move(demand)),
         directions_(std::move(directions)) {}
 
-  // Refill the pool of a finger with up to `most` places. Return their number.
+  // Find up to `most` places of a finger. Return their number.
   int fill(int finger, const std::vector<Ray>& rays, const Margins& margins, int most) {
-    hand_->fingers[finger].find(object_, demand_, rays, margins, most, pools[finger],
+    hand_->fingers[finger].find(object_, demand_, rays, margins, most, groups[finger],
                                 misses[finger]);
-    return int(pools[finger].size());
+    return int(groups[finger].size());
   }
 
   enum Fault {
@@ -156,12 +153,12 @@ class GraspSearch {
     not_together
   };
 
-  // Compute the angles (M,) at which the whole hand is at its places, and before it closes; return
-  // what is wrong with them. clearance: of the links from the object at the places [m].
+  // Compute the angles (M,) of the whole hand at its places, and before it closes; return what is
+  // wrong with them. clearance: of the links from the object at the places [m].
   Fault assemble(const Choice& choice, double clearance, double* angles, double* start) {
-    // [m] distance of fingers of one motor from the object when the first touches
+    // [m] distance from the object of fingers of one motor when the first touches
     constexpr double TOGETHER = 2e-5;
-    // fractions of the clearance: from the object, which the places already keep; between links
+    // fractions of the clearance: from the object; between links
     constexpr double EASIER = 0.9;
     constexpr double OWN = 1.0 / 3.0;
     std::copy(hand_->home.begin(), hand_->home.end(), angles);
@@ -171,7 +168,7 @@ class GraspSearch {
     std::vector<int> shut;  // fingers so far that are closed by a shared motor
     for (std::size_t i = 0; i < choice.size(); ++i) {
       Finger& finger = hand_->fingers[i];
-      const Place& place = pools[i][choice[i]];
+      const Place& place = groups[i][choice[i]];
       starts = finger.stand_off(object_.surface, place, demand_.start, there) && starts;
       const bool first = std::none_of(shut.begin(), shut.end(), [&](int f) {
         return hand_->fingers[f].closer == finger.closer;
@@ -211,26 +208,26 @@ class GraspSearch {
     return first_apart > OWN * clearance ? none : start_near_itself;
   }
 
-  // Return the best choice of each round; each round adds the multipliers of the last. No pool may
-  // be empty. picks: random numbers >= 0 for the initial choices, used in turn, half of them in the
-  // first round.
-  std::vector<FoundPose> choose(const std::vector<Choice>& picks, int rounds) {
+  // Return the best choice of each round; each adds the multipliers of the last. No finger may be
+  // without places. picks: random numbers >= 0 for the initial choices, half of them for the first
+  // round.
+  std::vector<RatedChoice> choose(const std::vector<Choice>& picks, int rounds) {
     constexpr int SWEEPS = 8;
     needs_.clear();
-    for (auto& pool : pools)
-      for (Place& place : pool) place.replies.clear();
+    for (auto& places : groups)
+      for (Place& place : places) place.replies.clear();
     for (const Vec6& y : directions_) add_direction(y);
-    std::vector<FoundPose> out;
+    std::vector<RatedChoice> out;
     Choice best, choice;
     std::size_t begun = 0;
     for (int round = 0; round < rounds; ++round) {
       double rating = best.empty() ? infinity : rate(best);
       const auto improve = [&] {
-        double found = rate(choice);
-        for (int sweep = 0; sweep < SWEEPS && improve_each_finger(choice, found); ++sweep) {
+        double rated = rate(choice);
+        for (int sweep = 0; sweep < SWEEPS && improve_each_finger(choice, rated); ++sweep) {
         }
-        if (found < rating || best.empty()) {
-          rating = found;
+        if (rated < rating || best.empty()) {
+          rating = rated;
           best = choice;
         }
       };
@@ -241,7 +238,7 @@ class GraspSearch {
       improve();
       double worst = 0.0;
       std::vector<const Place*> places;
-      for (std::size_t i = 0; i < best.size(); ++i) places.push_back(&pools[i][best[i]]);
+      for (std::size_t i = 0; i < best.size(); ++i) places.push_back(&groups[i][best[i]]);
       std::vector<Vec6> multipliers(demand_.loads.size());
       for (std::size_t m = 0; m < multipliers.size(); ++m)
         worst = std::max(worst, least_force(places, demand_, demand_.loads[m], multipliers[m]));
@@ -259,21 +256,20 @@ class GraspSearch {
   // per direction: the largest load . y; the largest reply of the other fingers
   std::vector<double> needs_, rest_;
 
-  // Add a direction to the table.
   void add_direction(const Vec6& y) {
     double most = -infinity;
     for (const Vec6& load : demand_.loads) most = std::max(most, dot(load, y));
     needs_.push_back(most);
-    for (auto& pool : pools)
-      for (Place& place : pool) place.replies.push_back(Reply(place, demand_, y).work);
+    for (auto& places : groups)
+      for (Place& place : places) place.replies.push_back(Reply(place, demand_, y).work);
   }
 
   // Begin with the picked places: for each finger the first, from its pick on, that keeps apart
-  // from those of the fingers before.
+  // from those before.
   bool begin(const Choice& picks, Choice& choice) const {
     choice.clear();
-    for (std::size_t i = 0; i < pools.size(); ++i) {
-      const int count = int(pools[i].size());
+    for (std::size_t i = 0; i < groups.size(); ++i) {
+      const int count = int(groups[i].size());
       int tried = 0;
       int k = picks[i] % count;
       for (; tried < count && !keeps_apart(choice, i, k); ++tried) k = (k + 1) % count;
@@ -284,16 +280,16 @@ class GraspSearch {
   }
 
   // Give each finger in turn its best place. Return false if none changed.
-  bool improve_each_finger(Choice& choice, double& found) {
+  bool improve_each_finger(Choice& choice, double& rating) {
     bool changed = false;
     for (std::size_t i = 0; i < choice.size(); ++i) {
       rest_.assign(needs_.size(), 0.0);
       for (std::size_t j = 0; j < choice.size(); ++j)
-        if (j != i) raise(rest_, pools[j][choice[j]]);
-      for (int k = 0; k < int(pools[i].size()); ++k) {
-        const double rated = rate(rest_, pools[i][k], found);
-        if (rated < found && keeps_apart(choice, i, k)) {
-          found = rated;
+        if (j != i) raise(rest_, groups[j][choice[j]]);
+      for (int k = 0; k < int(groups[i].size()); ++k) {
+        const double rated = rate(rest_, groups[i][k], rating);
+        if (rated < rating && keeps_apart(choice, i, k)) {
+          rating = rated;
           choice[i] = k;
           changed = true;
         }
@@ -308,10 +304,10 @@ class GraspSearch {
   // Lower bound of a choice [N] by the table.
   double rate(const Choice& choice) {
     rest_.assign(needs_.size(), 0.0);
-    for (std::size_t i = 0; i < choice.size(); ++i) raise(rest_, pools[i][choice[i]]);
-    return rate(rest_, pools[0][choice[0]], infinity);
+    for (std::size_t i = 0; i < choice.size(); ++i) raise(rest_, groups[i][choice[i]]);
+    return rate(rest_, groups[0][choice[0]], infinity);
   }
-  // The same, with `rest` the largest replies of the others; stops at `limit`.
+  // The same, with the largest replies of the others; stops at `limit`.
   double rate(const std::vector<double>& rest, const Place& place, double limit) const {
     double worst = 0.0;
     for (std::size_t d = 0; d < needs_.size() && worst < limit; ++d) {
@@ -321,15 +317,14 @@ class GraspSearch {
     return worst;
   }
 
-  // True if finger i at its place k keeps apart from the others at their chosen places. Limbs that
-  // both carry do not count.
+  // True if finger i at its place k keeps apart from the others, except for limbs that both carry.
   bool keeps_apart(const Choice& choice, std::size_t i, int k) const {
     const Finger& one = hand_->fingers[i];
-    const Place& here = pools[i][k];
+    const Place& here = groups[i][k];
     for (std::size_t j = 0; j < choice.size(); ++j) {
       if (j == i) continue;
       const Finger& other = hand_->fingers[j];
-      const Place& there = pools[j][choice[j]];
+      const Place& there = groups[j][choice[j]];
       for (std::size_t c = 0; c < one.limbs.size(); ++c) {
         if (other.carries(one.carried[c])) continue;
         for (std::size_t e = 0; e < other.limbs.size(); ++e) {
