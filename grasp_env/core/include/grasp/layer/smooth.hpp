@@ -469,7 +469,7 @@ template <int W> class SmoothLanes {
       pull_v_[i] = -at_[i].gradient_v;
     }
     Six<V> left = missed();
-    for (V& value : left) value = -value;
+    for (V& component : left) component = -component;
     return solve(pull_, pull_v_, left, step_, step_v_,
                  [&](const Six<V>& y) { return ROUNDED * value / size(y); });
   }
