@@ -94,7 +94,7 @@ class Controller {
     begin_step();
     has_lost_force_ = has_last_ = near_limits_ = false;
     worst_ = {};
-    std::fill(slid_.begin(), slid_.end(), Point{});
+    std::fill(slid_.begin(), slid_.end(), Point{0.0, 0.0, 0.0});
     sensors.reset();
   }
 
@@ -192,7 +192,7 @@ class Controller {
   void rest() {
     write_frames();
     worst_.slide = 0.0;
-    std::fill(slid_.begin(), slid_.end(), Point{});  // the first tick counts it again
+    std::fill(slid_.begin(), slid_.end(), Point{0.0, 0.0, 0.0});  // the first tick counts it again
     for (int i = 0; i < tree->fingers(); ++i)
       for (int a = 0; a < 3; ++a) force[3 * i + a] = dot(axis(i, a), seen().forces[i]);
   }
@@ -574,7 +574,7 @@ class Controller {
     const Snapshot& s = seen();
     std::copy(s.gravity_torques.begin(), s.gravity_torques.end(), out.begin());
     touching([&](int i) {
-      Point push{};
+      Point push{0.0, 0.0, 0.0};
       for (int k = 0; k < 3; ++k) push += forces[3 * i + k] * axis(i, k);
       s.posture.push(tree->tips[i].link, s.touch[i], s.rotation * push, out.data());
       if (torsion_[i] != 0.0)

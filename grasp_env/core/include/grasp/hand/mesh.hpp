@@ -196,7 +196,7 @@ class Mesh {
       const auto [a, b, c] = points(f);
       const Point across = cross(b - a, c - a);
       const double area = length(across);
-      normals_.push_back(is_degenerate(f, area) ? Point{} : across / area);
+      normals_.push_back(is_degenerate(f, area) ? Point{0.0, 0.0, 0.0} : across / area);
       areas_.push_back(total += area);
     }
     if (!(total > 0.0)) throw std::invalid_argument("the faces of a mesh must have area");
@@ -251,7 +251,7 @@ class Mesh {
     }
     edge_normals_.resize(sides_.size());
     for (const Side& side : sides_) {
-      Point sum{};
+      Point sum{0.0, 0.0, 0.0};
       const auto [first, last] = group_[3 * side.face + side.edge];
       for (int s = first; s < last; ++s)
         sum += normal_seen_from(sides_[s].face, sides_[s].edge, MAX_FOLDS);
@@ -264,7 +264,7 @@ class Mesh {
   // longest edge one sees the normals across the others, and vice versa, if an edge has two faces.
   Point normal_seen_from(int face, int edge, int deep) const {
     if (!is_degenerate(face) || deep == 0) return normals_[face];
-    Point sum{};
+    Point sum{0.0, 0.0, 0.0};
     const int through = longest(face);
     for (int k = 0; k < 3; ++k) {
       if ((k == through) == (edge == through)) continue;
@@ -277,7 +277,7 @@ class Mesh {
     return size > 0.0 ? sum / size : sum;
   }
   void compute_corner_normals() {
-    corner_normals_.assign(corners_.size(), Point{});
+    corner_normals_.assign(corners_.size(), Point{0.0, 0.0, 0.0});
     std::vector<int> faces(corners_.size(), 0);
     for (int f = 0; f < int(faces_.size()); ++f) {
       const auto p = points(f);

@@ -163,7 +163,7 @@ class Snapshot {
   void measure(const Tree& tree, std::span<const ContactRow> contacts) {
     stray = 0.0;
     std::fill(touching.begin(), touching.end(), 0.0);
-    std::fill(forces.begin(), forces.end(), Point{});
+    std::fill(forces.begin(), forces.end(), Point{0.0, 0.0, 0.0});
     for (const ContactRow& row : contacts) {
       const int finger = tree.finger_at(int(row.link));
       if (finger < 0 || length(row.place - touch[finger]) > STRAY_DISTANCE) {

@@ -12,7 +12,7 @@ struct Cuboid {
   Nearest nearest(const Point& center) const {
     constexpr double LOST = 1e-280;  // a smaller squared length has lost its digits
     Point point;
-    Point normal{};
+    Point normal{0.0, 0.0, 0.0};
     double depth = -infinity;
     int axis = 0;
     for (int k = 0; k < 3; ++k) {

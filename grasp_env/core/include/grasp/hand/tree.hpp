@@ -185,7 +185,7 @@ class Posture {
   }
   // Velocity [m/s] of a point fixed to the link; rates: (M,) [rad/s].
   Point velocity(int link, const Point& place, const double* rates) const {
-    Point out{};
+    Point out{0.0, 0.0, 0.0};
     each_moving_joint(link, place, [&](int j, const Point& moves) { out += rates[j] * moves; });
     return out;
   }
@@ -226,8 +226,8 @@ class Posture {
     std::fill(out, out + count * count, 0.0);
     for (int l = 0; l < count; ++l) {
       const Link& link = tree_->links[l];
-      std::fill(moves.begin(), moves.end(), Point{});
-      std::fill(turns.begin(), turns.end(), Point{});
+      std::fill(moves.begin(), moves.end(), Point{0.0, 0.0, 0.0});
+      std::fill(turns.begin(), turns.end(), Point{0.0, 0.0, 0.0});
       each_moving_joint(l, at(l, link.center), [&](int j, const Point& a) { moves[j] += a; });
       each_turning_joint(l, [&](int j, const Point& a) { turns[j] += frames[l].transposed(a); });
       const auto& i = link.inertia;

@@ -25,12 +25,12 @@ struct Solid {
   Core core = Core::box;
   // [m] half the core's sides; for a cylinder about z: radius, radius, half its height
   Point half{};
-  double radius = 0.0;  // [m] around the core
-  Point center{};       // of the core [m]
-  Rotation frame;       // rotation of the core relative to the solid's frame
-  Corners corners;      // of a hull [m], relative to its centre, which is inside
-  double size = 0.0;    // [m] largest distance of a core's point from its centre
-  Segment axis;         // [m] if the core is a line
+  double radius = 0.0;          // [m] around the core
+  Point center{0.0, 0.0, 0.0};  // of the core [m]
+  Rotation frame;               // rotation of the core relative to the solid's frame
+  Corners corners;              // of a hull [m], relative to its centre, which is inside
+  double size = 0.0;            // [m] largest distance of a core's point from its centre
+  Segment axis;                 // [m] if the core is a line
 
   // half: see above; a line along z if the first two are 0.
   static Solid of(Core core, const Point& half, double radius, const Point& center,
@@ -56,7 +56,7 @@ struct Solid {
   // Convex solids whose union is an object, which has its axis along y instead of z.
   static std::vector<Solid> of(const Surface& surface) {
     static constexpr double FROM_Z[9] = {1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, -1.0, 0.0};
-    const Point middle{};
+    const Point middle{0.0, 0.0, 0.0};
     if (const auto* box = std::get_if<Cuboid>(&surface.shape))
       return {of(Core::box, box->half, 0.0, middle, {})};
     if (const auto* can = std::get_if<Cylinder>(&surface.shape))
@@ -286,9 +286,9 @@ inline double overlap(const Placed& a, const Placed& b) {
   std::vector<Point> corners;
   std::vector<Side> sides;
   std::vector<std::pair<int, int>> edges;
-  Point across{};
+  Point across{0.0, 0.0, 0.0};
   for (int k = 0; k < 3; ++k) {  // the two points furthest apart
-    Point axis{};
+    Point axis{0.0, 0.0, 0.0};
     axis[k] = 1.0;
     const Point high = bound(axis);
     const Point low = bound(-axis);

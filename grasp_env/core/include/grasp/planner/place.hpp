@@ -20,7 +20,7 @@ struct Demand {
   double space;             // between fingers [m]
   double torsion = 0.0;     // moment about the normal over normal force, soft contacts [m]
   double start = 0.0;       // [m] between tip and object before the fingers close
-  Point gravity{};          // [m/s^2]
+  Point gravity{0.0, 0.0, 0.0};  // [m/s^2]
 };
 
 // [m] clearance of the rest of a fingertip, which moves with its sphere

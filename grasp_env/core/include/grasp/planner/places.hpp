@@ -327,7 +327,7 @@ class Finger {
     const double at = angles_[joint];
     const double margin = std::min(margins.joints, 0.1 * size);
     if (at < first + margin || at > first + size - margin) return miss(misses.limit);
-    std::vector<Point> moves(joints.size(), Point{});
+    std::vector<Point> moves(joints.size(), Point{0.0, 0.0, 0.0});
     posture_.each_moving_joint(int(joints.size()) - 1, posture_.tip(0),
                                [&](int j, const Point& along) { moves[j] += along; });
     double push = 0.0, most = 0.0;
@@ -356,7 +356,7 @@ class Finger {
     constexpr double LEAST = 0.05;  // fraction of its limit that a torque keeps at least
     const int count = int(joints.size());
     std::vector<double> weight(count);
-    std::vector<Point> moves(count, Point{});
+    std::vector<Point> moves(count, Point{0.0, 0.0, 0.0});
     posture_.support(demand.gravity, weight.data());
     posture_.each_moving_joint(count - 1, posture_.tip(0),
                                [&](int j, const Point& along) { moves[j] += along; });
