@@ -43,11 +43,11 @@ int solve(void* context, const force_problem* p, const double* start, double* fo
   grasp::Request request{.wrench = p->wrench};
   if (p->moved)
     request.now = {.positions = numbers(p->positions, 3 * n),
-               .normals = numbers(p->normals, 3 * n),
-               .friction = numbers(p->friction, n),
-               .jacobian = numbers(p->jacobian, 6 * n * p->joints),
-               .torque_bias = numbers(p->torque_bias, p->joints),
-               .contacts = n < 64 ? p->touching : ~0ULL};
+                   .normals = numbers(p->normals, 3 * n),
+                   .friction = numbers(p->friction, n),
+                   .jacobian = numbers(p->jacobian, 6 * n * p->joints),
+                   .torque_bias = numbers(p->torque_bias, p->joints),
+                   .contacts = n < 64 ? p->touching : ~0ULL};
   if (!start)
     optimizer.forget();
   else if (remembers)

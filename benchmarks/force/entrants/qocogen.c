@@ -68,8 +68,8 @@ static void refresh(Context* at, const force_problem* p) {
                  (form == BARRIER && column % 3 == 0 ? p->friction[column / 3] : 1.0);
   }
   for (int j = 0; form != BARRIER && j < generated->count_g; ++j) /* the barrier's are constants */
-    work->G[j] =
-        (form == DUAL ? dual_number : primal_number)(p, generated->rows_g[j], generated->columns_g[j]);
+    work->G[j] = (form == DUAL ? dual_number : primal_number)(p, generated->rows_g[j],
+                                                              generated->columns_g[j]);
   for (int i = 0; form == DUAL && i < n; ++i) work->h[work->l + 3 * i] = 1.0 / p->friction[i];
   at->moved = p->moved;
 }
