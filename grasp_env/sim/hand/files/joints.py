@@ -1,8 +1,6 @@
-"""Joints of a hand's file: ranges that no finger has, ranges of joints that share a motor, and rods
-among their links.
+"""Judge the joint ranges of a hand's file, and find rods among its fingertips.
 
-The bounds come from some 200 public files of hands and robots. Degrees become radians, and ranges
-too wide for a finger are listed.
+The bounds come from some 200 public files of hands and robots.
 """
 
 from __future__ import annotations
@@ -22,16 +20,14 @@ from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.hand.solids import outline
 from grasp_env.sim.hand.tree import Fingertip, Link
 
-# largest plausible range of a joint [rad]: a hinge between two links folds by half a turn
-LARGEST_TURN = 3.3
+LARGEST_TURN = 3.3  # largest plausible range of a joint [rad]; a hinge folds by half a turn
 # smallest one-sided range [rad], as 0 to pi, that is a placeholder if three joints or more share it
 HALF_TURN = 3.1
 DEGREES = 4.0 * math.pi  # median range [rad] above which all ranges are taken as degrees
 LARGEST_STROKE = 0.5  # largest plausible range of a sliding joint [m]
 # smallest share of a motor's range that coupled joints may leave it, or their limits are ignored
 _LEAST_RANGE = 0.25
-# positions within the motors' ranges at which links are compared
-_POSTURES = (0.1, 0.3, 0.5, 0.7, 0.9)
+_POSTURES = (0.1, 0.3, 0.5, 0.7, 0.9)  # shares of the motors' ranges at which links are compared
 _PINNED = 0.002  # largest gap between two links joined by a pin [m], as shapes are coarse
 _SHORTER = 0.9  # largest reach of a rod over that of the finger that it moves
 
@@ -39,8 +35,10 @@ _SHORTER = 0.9  # largest reach of a rod over that of the finger that it moves
 def judge_ranges(
     joints: Sequence[FileJoint], given: Mapping[str, tuple[float, float]]
 ) -> tuple[list[FileJoint], list[str]]:
-    """Return the joints with ranges in radians, and sentences on implausible ranges; those in
-    `given` are not judged.
+    """Return the joints with ranges in radians, and sentences on implausible ranges.
+
+    Degrees become radians; ranges too wide for a finger are only listed. Ranges in `given` are not
+    judged.
     """
     judged = [joint for joint in joints if not joint.fixed and joint.name not in given]
     spans = [
@@ -49,7 +47,7 @@ def judge_ranges(
         if not joint.sliding and math.isfinite(joint.lower)
     ]
     notes = list[str]()
-    true = "; give the true ones as joint_limits="
+    remedy = "; give the true ones as joint_limits="
     if spans and statistics.median(spans) > DEGREES:
         turned = {
             joint.name: replace(
@@ -58,22 +56,19 @@ def judge_ranges(
             for joint in judged
             if not joint.sliding
         }
-        joints, judged = (
-            [turned.get(joint.name, joint) for joint in each] for each in (joints, judged)
-        )
-        shown = listed([_range(joint) for joint in turned.values()])
-        notes.append(f"ranges of more than two turns are taken as degrees: {shown}{true}")
+        joints = [turned.get(joint.name, joint) for joint in joints]
+        judged = [turned.get(joint.name, joint) for joint in judged]
+        ranges = listed([_range(joint) for joint in turned.values()])
+        notes.append(f"ranges of more than two turns are taken as degrees: {ranges}{remedy}")
     driven = [joint for joint in judged if joint.mimic is None]
     wide = [_range(joint) for joint in driven if _is_wide(joint, driven)]
     if wide:
-        notes.append(f"ranges too wide for a finger's joint are kept: {listed(wide)}{true}")
+        notes.append(f"ranges too wide for a finger's joint are kept: {listed(wide)}{remedy}")
     return list(joints), notes
 
 
 def _is_wide(joint: FileJoint, others: Sequence[FileJoint]) -> bool:
-    """Return True if a range is too wide for a hinge, or a one-sided half turn shared by several
-    joints.
-    """
+    """Return True if a range is too wide for a hinge, or a half turn that several joints share."""
     span = joint.upper - joint.lower
     if joint.sliding:
         return span > LARGEST_STROKE
@@ -85,53 +80,46 @@ def _is_wide(joint: FileJoint, others: Sequence[FileJoint]) -> bool:
 def _range(joint: FileJoint) -> str:
     if not math.isfinite(joint.lower):
         return f"{joint.name!r} (unlimited)"
-    return (
-        f"{joint.name!r} ({joint.lower:.3g} to {joint.upper:.3g} {'m' if joint.sliding else 'rad'})"
-    )
+    unit = "m" if joint.sliding else "rad"
+    return f"{joint.name!r} ({joint.lower:.3g} to {joint.upper:.3g} {unit})"
 
 
 def free_ranges(
     joints: Sequence[FileJoint], given: Collection[str]
 ) -> tuple[list[FileJoint], list[str]]:
-    """Return the joints with ranges that fit their couplings, and a sentence on those that were
-    changed.
+    """Return the joints with ranges that fit their couplings, and a sentence on changes.
 
     Other programs only use the limits of the joint with the motor, so wrong limits of coupled
     joints go unnoticed. If these would leave the motor less than `_LEAST_RANGE` of its range, they
-    are replaced by the image of the motor's range. The ranges of the joints named in `given` are
-    kept.
+    are replaced by the image of the motor's range, except for the joints in `given`.
     """
-    left = {joint.name: (joint.lower, joint.upper) for joint in joints}
-    for joint in joints:
-        if joint.mimic is not None:
-            low, high = sorted(
-                (end - joint.mimic.offset) / joint.mimic.ratio for end in (joint.lower, joint.upper)
-            )
-            before = left[joint.mimic.joint]
-            left[joint.mimic.joint] = max(before[0], low), min(before[1], high)
     drivers = {joint.name: joint for joint in joints}
+    coupled = [(joint, joint.mimic) for joint in joints if joint.mimic is not None]
+    left = {joint.name: (joint.lower, joint.upper) for joint in joints}
+    for joint, mimic in coupled:
+        ends = [(end - mimic.offset) / mimic.ratio for end in (joint.lower, joint.upper)]
+        lower, upper = left[mimic.joint]
+        left[mimic.joint] = max(lower, min(ends)), min(upper, max(ends))
     changed = dict[str, FileJoint]()
-    for joint in joints:
-        if joint.mimic is not None and joint.name not in given:
-            driver = drivers[joint.mimic.joint]
-            (low, high) = left[joint.mimic.joint]
-            if math.isfinite(driver.lower) and high - low < _LEAST_RANGE * (
-                driver.upper - driver.lower
-            ):
-                lower, upper = sorted(
-                    (joint.mimic.angle(driver.lower), joint.mimic.angle(driver.upper))
-                )
-                changed[joint.name] = replace(joint, lower=lower, upper=upper)
+    for joint, mimic in coupled:
+        driver = drivers[mimic.joint]
+        lower, upper = left[mimic.joint]
+        if (
+            joint.name not in given
+            and math.isfinite(driver.lower)
+            and upper - lower < _LEAST_RANGE * (driver.upper - driver.lower)
+        ):
+            lower, upper = sorted((mimic.angle(driver.lower), mimic.angle(driver.upper)))
+            changed[joint.name] = replace(joint, lower=lower, upper=upper)
     text = "the limits of coupled joints leave their motor hardly any range and are ignored"
     fitting = [changed.get(joint.name, joint) for joint in joints]
     return fitting, [f"{text}: {names_of(list(changed))}"] if changed else []
 
 
 def find_rods(links: Sequence[Link], tips: Sequence[Fingertip]) -> set[str]:
-    """Return names of the fingertips that are rods: they end at a pin in another finger that the
-    same motors move.
+    """Return names of the fingertips that are rods: they end at a pin in another finger.
 
-    A rod touches that finger in every posture, and the finger reaches farther.
+    The same motors move that finger, the rod touches it in every posture, and it reaches farther.
     """
     chains = [_chain(links, tip.link) for tip in tips]
     motors = [
@@ -145,7 +133,7 @@ def find_rods(links: Sequence[Link], tips: Sequence[Fingertip]) -> set[str]:
     ]
     if not alike:
         return set()
-    postures = [_frames(links, part) for part in _POSTURES]
+    postures = [_frames(links, share) for share in _POSTURES]
     reach = [
         max(
             float(np.linalg.norm(frames[tip.link].rotation @ tip.center + frames[tip.link].origin))
@@ -172,23 +160,18 @@ def _chain(links: Sequence[Link], name: str) -> list[Link]:
     return chain
 
 
-def _frames(links: Sequence[Link], part: float) -> dict[str, Frame]:
-    """Return the frames of the links in the palm's, with all motors at the same share of their
-    ranges.
-    """
-    angles = {
-        link.joint: max(link.lower, -math.pi)
-        + part * (min(link.upper, math.pi) - max(link.lower, -math.pi))
-        for link in links
-    }
+def _frames(links: Sequence[Link], share: float) -> dict[str, Frame]:
+    """Return the frames of the links in the palm's, all motors at a share of their ranges."""
+    angles = dict[str, float]()
+    for link in links:
+        lower = max(link.lower, -math.pi)
+        angles[link.joint] = lower + share * (min(link.upper, math.pi) - lower)
     frames = dict[str, Frame]()
     for link in links:
-        angle = (
-            angles[link.joint] if link.mimic is None else link.mimic.angle(angles[link.mimic.joint])
-        )
-        place = Frame.of(link.origin, link.rotation) @ Frame.of_joint(
-            np.array(link.axis), angle, link.sliding
-        )
+        mimic = link.mimic
+        angle = angles[link.joint] if mimic is None else mimic.angle(angles[mimic.joint])
+        motion = Frame.of_joint(np.array(link.axis), angle, link.sliding)
+        place = Frame.of(link.origin, link.rotation) @ motion
         frames[link.name] = frames[link.parent] @ place if link.parent in frames else place
     return frames
 
@@ -208,8 +191,8 @@ def _touch(one: Link, other: Link, frames: dict[str, Frame]) -> bool:
 def _near(first: Array, second: Array) -> bool:
     """Return True if no slab of thickness `_PINNED` fits between the hulls of points (K, 3)."""
     middle = 0.5 * (first.mean(axis=0) + second.mean(axis=0))
-    # find a normal n with |n_i| <= 1, an offset d and the largest half width m: n @ a >= d + m, n @
-    # b <= d - m
+    # a normal n with |n_i| <= 1, an offset d and the largest half width m:
+    # n @ a >= d + m, n @ b <= d - m
     rows = np.vstack(
         [
             np.column_stack([middle - first, np.ones(len(first)), np.ones(len(first))]),
@@ -217,13 +200,8 @@ def _near(first: Array, second: Array) -> bool:
         ]
     )
     bounds = [(-1.0, 1.0)] * 3 + [(None, None), (0.0, None)]
-    found = linprog(
-        (0.0, 0.0, 0.0, 0.0, -1.0),
-        A_ub=rows,
-        b_ub=np.zeros(len(rows)),
-        bounds=bounds,
-        method="highs",
-    )
-    if found.x is None:
+    gain = (0.0, 0.0, 0.0, 0.0, -1.0)
+    slab = linprog(gain, A_ub=rows, b_ub=np.zeros(len(rows)), bounds=bounds, method="highs").x
+    if slab is None:
         return True
-    return float(2.0 * found.x[4]) < _PINNED * max(float(np.linalg.norm(found.x[:3])), 1e-12)
+    return float(2.0 * slab[4]) < _PINNED * max(float(np.linalg.norm(slab[:3])), 1e-12)

@@ -1,6 +1,4 @@
-"""Check the values that a caller gives for a hand in a file: palm, fingertips, torques, ranges and
-masses. Each overrides the file.
-"""
+"""Check the values that a caller gives for a hand in a file; each overrides the file."""
 
 from __future__ import annotations
 
@@ -21,9 +19,7 @@ T = TypeVar("T")
 
 
 class Inertial(NamedTuple):
-    """Mass [kg], centre of mass [m], link frame, and inertia about it [kg m^2] of a link with
-    everything fixed to it.
-    """
+    """Mass [kg], centre [m] and inertia about it [kg m^2] of a link with everything fixed to it."""
 
     mass: float
     center: Vector3
@@ -45,135 +41,128 @@ class HandOptions:
     xacro_args: Any = None
 
     def checked_palm(self) -> str | None:
-        """Return the name of the palm's link; None: not given."""
+        """Return the name of the palm's link, if given."""
         return None if self.palm is None else word(self.palm, "palm")
 
     def radius(self) -> float | None:
-        """Return the radius of tips without a sphere [m]; None: not given."""
+        """Return the radius of tips without a sphere [m], if given."""
         return None if self.tip_radius is None else positive(self.tip_radius, "tip_radius [m]")
 
     def expansion(self) -> tuple[bool | None, dict[str, str]]:
-        """Return whether the file is expanded by xacro, None: by its name, and the arguments' texts
-        by name.
-        """
-        given = {} if self.xacro_args is None else self.xacro_args
-        if not isinstance(given, Mapping) or not all(isinstance(name, str) for name in given):
+        """Return whether xacro expands the file (None: by its name), and xacro's arguments."""
+        values = {} if self.xacro_args is None else self.xacro_args
+        if not isinstance(values, Mapping) or not all(isinstance(name, str) for name in values):
             raise InvalidInputError(
-                f"xacro_args={shown(given)} must be a dict from names of arguments to their values"
+                f"xacro_args={shown(values)} must be a dict from names of arguments to their values"
             )
         with AllFaults() as check:
             texts = {
                 str(name): check(_argument, value, f"xacro_args of {name!r}")
-                for name, value in given.items()
+                for name, value in values.items()
             }
             return None if self.xacro is None else check(flag, self.xacro, "xacro"), texts
 
     def tips(self) -> dict[str, Ball | None] | None:
-        """Return the fingertips by the names of their links, each with its sphere or None; None:
-        not given.
-        """
-        if (given := self.fingertips) is None:
+        """Return the sphere, or None, of each fingertip by its link; None: no tips are given."""
+        tips = self.fingertips
+        if tips is None:
             return None
-        names = list(given) if isinstance(given, dict | list | tuple) else []
-        pairs = list(given.values()) if isinstance(given, dict) else []
+        names = list(tips) if isinstance(tips, dict | list | tuple) else []
+        pairs = list(tips.values()) if isinstance(tips, dict) else []
         paired = all(isinstance(pair, list | tuple) and len(pair) == 2 for pair in pairs)
         if not names or not paired or not all(isinstance(name, str) for name in names):
             raise InvalidInputError(
-                f"fingertips={shown(given)} must be a list of one link name or more, or {{link: (point, radius)}} [m]"
+                f"fingertips={shown(tips)} must be a list of one link name or more, or {{link: (point, radius)}} [m]"
             )
-        tips = dict[str, Ball | None].fromkeys(map(str, names))
-        if len(tips) < len(names):
+        balls = dict[str, Ball | None].fromkeys(map(str, names))
+        if len(balls) < len(names):
             twice = max(names, key=names.count)
             raise InvalidInputError(f"two fingertips are called {twice!r}; give each its own link")
-        for name, pair in zip(tips, pairs, strict=False):
-            x, y, z = numbers(pair[0], 3, f"fingertips: point [m] of {name!r}")
-            tips[name] = Ball((x, y, z), positive(pair[1], f"fingertips: radius [m] of {name!r}"))
-        return tips
+        for name, (point, radius) in zip(balls, pairs, strict=False):
+            x, y, z = numbers(point, 3, f"fingertips: point [m] of {name!r}")
+            balls[name] = Ball((x, y, z), positive(radius, f"fingertips: radius [m] of {name!r}"))
+        return balls
 
     def torques(self, joints: Sequence[str], drivers: Mapping[str, str]) -> dict[str, float]:
-        """Return the given torque limits [N m] by moving joint; coupled joints, whose `drivers` are
-        given by joint, have none.
+        """Return the given torque limits [N m] by moving joint.
+
+        `drivers` names the driver of each coupled joint, which has no limit of its own.
         """
-        given = self.torque_limit
-        if given is None or isinstance(given, dict):
-            if idle := [name for name in dict(given or {}) if name in drivers]:
+        torques = self.torque_limit
+        if torques is None or isinstance(torques, dict):
+            if coupled := [name for name in torques or () if name in drivers]:
                 raise InvalidInputError(
-                    f"torque_limit: {names_of(idle)} have no motor of their own; give that of {names_of([drivers[name] for name in idle])}"
+                    f"torque_limit: {names_of(coupled)} have no motor of their own; give that of {names_of([drivers[name] for name in coupled])}"
                 )
             return _by_name(
-                given,
+                torques,
                 joints,
                 "torque_limit",
                 "joint",
-                lambda value, of: positive(value, f"{of} [N m]"),
+                lambda value, what: positive(value, f"{what} [N m]"),
             )
-        if not isinstance(given, list | tuple | np.ndarray):
-            return dict.fromkeys(joints, positive(given, "torque_limit [N m]"))
-        each = numbers(
-            given, len(joints), f"torque_limit [N m], one per joint ({names_of(joints)})"
+        if not isinstance(torques, list | tuple | np.ndarray):
+            return dict.fromkeys(joints, positive(torques, "torque_limit [N m]"))
+        values = numbers(
+            torques, len(joints), f"torque_limit [N m], one per joint ({names_of(joints)})"
         )
-        pairs = zip(joints, each, strict=True)
         with AllFaults() as check:
             return {
                 name: check(positive, value, f"torque_limit [N m] of {name!r}")
-                for name, value in pairs
+                for name, value in zip(joints, values, strict=True)
             }
 
     def ranges(self, joints: Sequence[str]) -> dict[str, tuple[float, float]]:
         """Return the given ranges by joint [rad], of sliding joints [m]."""
 
-        def both(value: Any, of: str) -> tuple[float, float]:
+        def checked(value: Any, what: str) -> tuple[float, float]:
             if not isinstance(value, list | tuple) or len(value) != 2:
-                raise InvalidInputError(f"{of}={shown(value)} must be (lower, upper)")
-            return limits(value[0], value[1], of)
+                raise InvalidInputError(f"{what}={shown(value)} must be (lower, upper)")
+            return limits(value[0], value[1], what)
 
-        return _by_name(self.joint_limits, joints, "joint_limits", "joint", both)
+        return _by_name(self.joint_limits, joints, "joint_limits", "joint", checked)
 
     def bodies(self, links: Sequence[str]) -> dict[str, float | Inertial]:
-        """Return the given masses [kg], or masses with centres and inertias, by link."""
+        """Return the given masses [kg], or whole inertials, by link."""
 
-        def body(value: Any, of: str) -> float | Inertial:
+        def checked(value: Any, what: str) -> float | Inertial:
             if not isinstance(value, list | tuple):
-                return positive(value, f"{of}: mass [kg]")
+                return positive(value, f"{what}: mass [kg]")
             if len(value) != 3:
                 raise InvalidInputError(
-                    f"{of}={shown(value)} must be a mass [kg], or (mass, center, inertia)"
+                    f"{what}={shown(value)} must be a mass [kg], or (mass, center, inertia)"
                 )
-            x, y, z = numbers(value[1], 3, f"{of}: center [m]")
-            return Inertial(
-                positive(value[0], f"{of}: mass [kg]"), (x, y, z), inertia_of(value[2], of)
-            )
+            mass, center, inertia = value
+            x, y, z = numbers(center, 3, f"{what}: center [m]")
+            mass = positive(mass, f"{what}: mass [kg]")
+            return Inertial(mass, (x, y, z), inertia_of(inertia, what))
 
-        return _by_name(self.inertials, links, "inertials", "moving link", body)
+        return _by_name(self.inertials, links, "inertials", "moving link", checked)
 
 
 def _argument(value: Any, what: str) -> str:
-    """Return the text of a xacro argument; numbers, True and False are written as Python writes
-    them.
-    """
+    """Return the text of a xacro argument; numbers and bools as Python writes them."""
     if isinstance(value, str):
         return value
     if isinstance(value, bool | np.bool_):
         return str(bool(value))
-    if isinstance(value, int):
-        return str(value)
-    found = as_number(value)
-    if found is None:
+    number = value if isinstance(value, int) else as_number(value)
+    if number is None:
         raise InvalidInputError(f"{what}={shown(value)} must be text, a number, True or False")
-    return str(found)
+    return str(number)
 
 
 def _by_name(
-    given: Any, names: Sequence[str], what: str, kind: str, check: Callable[[Any, str], T]
+    values: Any, names: Sequence[str], what: str, kind: str, check: Callable[[Any, str], T]
 ) -> dict[str, T]:
     """Return values by name, each checked by `check`, which gets the value and its description."""
-    if given is None:
+    if values is None:
         return {}
-    if not isinstance(given, dict):
+    if not isinstance(values, dict):
         raise InvalidInputError(
-            f"{what}={shown(given)} must be a dict with names of {kind}s as keys"
+            f"{what}={shown(values)} must be a dict with names of {kind}s as keys"
         )
-    unknown = [name for name in given if name not in names]
+    unknown = [name for name in values if name not in names]
     if unknown:
         raise InvalidInputError(
             f"{what}: no {kind} is called {names_of(unknown)}; {kind}s are {names_of(names)}"
@@ -181,5 +170,5 @@ def _by_name(
     with AllFaults() as faults:
         return {
             str(name): faults(check, value, f"{what} of {str(name)!r}")
-            for name, value in given.items()
+            for name, value in values.items()
         }
