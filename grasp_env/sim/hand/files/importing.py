@@ -1,7 +1,7 @@
-"""Assemble a hand from the links and joints of a file: links behind a fixed joint are merged into
-their parent.
+"""Assemble a hand from the links and joints of a file.
 
-All repairs of impossible or missing values are listed in one warning, all faults in one error.
+Links behind a fixed joint are merged into their parent. One warning lists all repairs, one error
+all faults.
 """
 
 from __future__ import annotations
@@ -40,9 +40,7 @@ _NEAR = 1e-3  # [m] from a joint, below which points give no direction
 
 
 class ReadHand(NamedTuple):
-    """The parts of a hand in a file, and a sentence for each thing that was assumed, left out or
-    changed.
-    """
+    """The parts of a hand in a file; `repairs` says what was assumed, left out or changed."""
 
     name: str
     palm: Palm
@@ -52,18 +50,14 @@ class ReadHand(NamedTuple):
 
 
 class _Place(NamedTuple):
-    """The place of a file's link: the moving link to which it belongs, None for the palm, and its
-    frame in that link.
-    """
+    """The place of a file's link."""
 
-    carrier: str | None
-    frame: Frame
+    carrier: str | None  # the moving link to which it belongs; None for the palm
+    frame: Frame  # in that link
 
 
 def read_hand(path: str | os.PathLike[str], options: HandOptions) -> ReadHand:
-    """Read the parts of a hand from a file, see `HandDescription.from_file`; links stand in the
-    order of the joints, after their parents.
-    """
+    """Read the parts of a hand, see `HandDescription.from_file`; links stand after their parents."""
     with AllFaults() as check:
         check(options.checked_palm)
         check(options.tips)
@@ -73,9 +67,8 @@ def read_hand(path: str | os.PathLike[str], options: HandOptions) -> ReadHand:
         return _Importer(_opened(path, options), options).hand
     except InvalidInputError as error:
         message = str(error)
-        raise InvalidInputError(
-            message if message.startswith("cannot read") else f"{path}: {message}"
-        ) from None
+        where = "" if message.startswith("cannot read") else f"{path}: "
+        raise InvalidInputError(f"{where}{message}") from None
 
 
 def _opened(path: str | os.PathLike[str], options: HandOptions) -> HandFile:
@@ -100,66 +93,56 @@ def _opened(path: str | os.PathLike[str], options: HandOptions) -> HandFile:
 
 
 class _Importer:
-    """An importer that assembles the hand of one file."""
+    """Assembles the hand of one file."""
 
     def __init__(self, file: HandFile, options: HandOptions) -> None:
-        given_tips = options.tips()
-        part, self.links, joints = read_part(file, options.checked_palm(), given_tips or {})
+        chosen_tips = options.tips()
+        part, self.links, joints = read_part(file, options.checked_palm(), chosen_tips or {})
         ranges = options.ranges([joint.name for joint in joints if not joint.fixed])
-        joints, held = arrange(part, [_ranged(joint, ranges.get(joint.name)) for joint in joints])
+        joints, frozen = arrange(part, [_ranged(joint, ranges.get(joint.name)) for joint in joints])
         joints, wide = judge_ranges(joints, ranges)
         self.joints, uncoupled = free_ranges(joints, ranges)
         self.root = part.root
-        self.own_rotors = options.rotor_inertia is None
-        self.repairs = [*file.notes, *part.notes, *held, *wide, *uncoupled]
+        self.use_file_rotors = options.rotor_inertia is None
+        self.repairs = [*file.notes, *part.notes, *frozen, *wide, *uncoupled]
         self.moving = [joint for joint in self.joints if not joint.fixed]
         if not self.moving:
-            sentences = [
-                "no joint moves; a hand needs joints of type revolute, continuous or prismatic",
-                *held,
-            ]
-            raise InvalidInputError("; ".join(sentences))
+            why = "no joint moves; a hand needs joints of type revolute, continuous or prismatic"
+            raise InvalidInputError("; ".join([why, *frozen]))
         # may take seconds, but meshes are cached by content
         self.links = file.with_shapes(self.links)
         self.places = self._placed()
-        for why in dict.fromkeys(file.undrawn.values()):
-            left = [name for name, reason in file.undrawn.items() if reason == why]
-            self.repairs.append(f"visual meshes that {why} are left out: {names_of(left)}")
-        groups = [self._group(joint.child) for joint in self.moving]
+        for reason in dict.fromkeys(file.undrawn.values()):
+            names = [name for name, why in file.undrawn.items() if why == reason]
+            self.repairs.append(f"visual meshes that {reason} are left out: {names_of(names)}")
         self._corners = hulls_of_files(
             shape.file
-            for group in groups
-            for _, shape in self._outlines(group)
+            for joint in self.moving
+            for _, shape in self._outlines(self._group(joint.child))
             if shape.kind == "mesh"
         )
         bodies = [self._body(joint) for joint in self.moving]
-        drivers = {
-            joint.name: joint.mimic.joint for joint in self.moving if joint.mimic is not None
-        }
+        drivers = {joint.name: joint.mimic.joint for joint in self.moving if joint.mimic}
         with AllFaults() as check:
             torques = check(options.torques, [joint.name for joint in self.moving], drivers)
             inertials = check(options.bodies, [joint.child for joint in self.moving])
-            fitted = check(lambda: self._tips(given_tips, options.radius()))
-        palm = Palm(
-            self.root,
-            *self._shapes(self.root, None),
-            self.links[self.root].color or (0.17, 0.19, 0.23),
-        )
+            tips = check(lambda: self._tips(chosen_tips, options.radius()))
+        color = self.links[self.root].color or (0.17, 0.19, 0.23)
+        palm = Palm(self.root, *self._shapes(self.root, None), color)
         links = self._judged(bodies, torques, inertials)
-        if given_tips is None and (rods := find_rods(links, [tip for tip, _ in fitted])):
+        if chosen_tips is None and (rods := find_rods(links, [tip for tip, _ in tips])):
             self.repairs.append(
                 f"rods that only move a finger are not fingertips: {names_of(sorted(rods))}"
             )
-            fitted = [pair for pair in fitted if pair[0].name not in rods]
+            tips = [pair for pair in tips if pair[0].name not in rods]
         links = [
-            self._with_tips(link, [pair for pair in fitted if pair[0].link == link.name])
-            for link in links
+            _with_tips(link, [pair for pair in tips if pair[0].link == link.name]) for link in links
         ]
-        tips = tuple(tip for tip, _ in fitted)
-        self.hand = ReadHand(file.name, palm, tuple(links), tips, self.repairs)
+        self.hand = ReadHand(
+            file.name, palm, tuple(links), tuple(tip for tip, _ in tips), self.repairs
+        )
 
     def _placed(self) -> dict[str, _Place]:
-        """Return the place of each link."""
         places = {self.root: _Place(None, IDENTITY)}
         for joint in self.joints:
             carrier, frame = places[joint.parent]
@@ -170,8 +153,9 @@ class _Importer:
     def _shapes(
         self, name: str, carrier: str | None
     ) -> tuple[tuple[Geometry, ...], tuple[Geometry, ...]]:
-        """Return collision and visual shapes of a link with everything fixed to it; links without
-        visuals show their collisions.
+        """Return collision and visual shapes of a link with everything fixed to it.
+
+        Links without visual shapes show their collision shapes.
         """
         collision = list[Geometry]()
         visual = list[Geometry]()
@@ -179,14 +163,13 @@ class _Importer:
             if place.carrier != carrier:
                 continue
             link = self.links[other]
-            own = None if link.color == self.links[name].color else link.color
+            color = None if link.color == self.links[name].color else link.color
             collision += [shape.carried(place.frame) for shape in link.collision]
             for shape in link.visual or link.collision:
-                visual.append(replace(shape.carried(place.frame), color=shape.color or own))
+                visual.append(replace(shape.carried(place.frame), color=shape.color or color))
         return tuple(collision), tuple(visual)
 
     def _body(self, joint: FileJoint) -> Body:
-        """Return the body that a joint moves."""
         carrier, frame = self.places[joint.parent]
         shapes = self._shapes(joint.child, joint.child)
         points = np.vstack([*self._points(self._group(joint.child)), np.empty((0, 3))])
@@ -202,12 +185,12 @@ class _Importer:
         """Return the moving links with plausible numbers."""
         judge = Judge(bodies)
         links = list[Link]()
-        for body, own, limit in zip(
+        for body, (mass, center, inertia), limit in zip(
             bodies, judge.inertials(inertials), judge.torques(torques), strict=True
         ):
             joint = body.joint
-            turned = self.own_rotors and joint.rotor > 0.0 and not joint.sliding
-            inertia = with_rotor(own.inertia, joint.rotor) if turned else own.inertia
+            if self.use_file_rotors and joint.rotor > 0.0 and not joint.sliding:
+                inertia = with_rotor(inertia, joint.rotor)
             color = self.links[joint.child].color or (0.5, 0.5, 0.5)
             links.append(
                 Link(
@@ -219,8 +202,8 @@ class _Importer:
                     joint.lower,
                     joint.upper,
                     limit,
-                    own.mass,
-                    own.center,
+                    mass,
+                    center,
                     inertia,
                     body.shapes,
                     body.looks,
@@ -234,14 +217,11 @@ class _Importer:
         return links
 
     def _inertial(self, name: str) -> tuple[float, Vector3, Inertia]:
-        """Return mass, centre and inertia of a moving link with everything fixed to it, in its
-        frame; mass 0: the file has none.
+        """Return mass, centre and inertia of a moving link with everything fixed to it.
+
+        The mass is 0 if the file has none.
         """
-        links = [
-            (place.frame, self.links[other])
-            for other, place in self.places.items()
-            if place.carrier == name
-        ]
+        links = [(self.places[other].frame, self.links[other]) for other in self._group(name)]
         parts = [
             (frame @ link.inertial_frame, link.mass, inertia_matrix(link.inertia))
             for frame, link in links
@@ -261,10 +241,10 @@ class _Importer:
         return mass, (x, y, z), inertia_numbers(0.5 * (total + total.T))
 
     def _tips(
-        self, given: dict[str, Ball | None] | None, radius: float | None
+        self, balls: dict[str, Ball | None] | None, radius: float | None
     ) -> list[tuple[Fingertip, Array]]:
         """Return the fingertips, each with the direction in which its link ends."""
-        if given is None:
+        if balls is None:
             parents = {self.places[joint.parent].carrier for joint in self.moving}
             ends = [joint.child for joint in self.moving if joint.child not in parents]
             bare = [end for end in ends if not self._points(self._group(end))]
@@ -273,49 +253,43 @@ class _Importer:
                     f"end links without a shape are not fingertips: {names_of(bare)}"
                 )
                 ends = [end for end in ends if end not in bare]
-            given = dict.fromkeys(ends)
+            balls = dict.fromkeys(ends)
         with AllFaults() as check:
-            return [check(self._tip, name, ball, radius) for name, ball in given.items()]
+            return [check(self._tip, name, ball, radius) for name, ball in balls.items()]
 
     def _group(self, name: str) -> list[str]:
         """Return the names of a link and of everything fixed to it."""
         group = [name]
         for joint in self.joints:
-            group += [joint.child] if joint.fixed and joint.parent in group else []
+            if joint.fixed and joint.parent in group:
+                group.append(joint.child)
         return group
 
     def _outlines(self, group: Sequence[str]) -> list[tuple[Frame, Geometry]]:
-        """Return the collision shapes of links, or else their visuals, each with the frame of its
-        link in the carrier's.
-        """
-        solids = [
-            (self.places[name].frame, shape)
-            for name in group
-            for shape in self.links[name].collision
-        ]
-        looks = [
-            (self.places[name].frame, shape) for name in group for shape in self.links[name].visual
-        ]
-        return solids or looks
+        """Return the links' collision shapes, or else visual ones, each with its link's frame."""
+        links = [(self.places[name].frame, self.links[name]) for name in group]
+        solids = [(frame, shape) for frame, link in links for shape in link.collision]
+        return solids or [(frame, shape) for frame, link in links for shape in link.visual]
 
     def _points(self, group: Sequence[str]) -> list[Array]:
         """Return convex pieces (K, 3) [m] of the `_outlines` of links, carrier's frame."""
         pieces = list[Array]()
         for frame, shape in self._outlines(group):
-            if shape.kind == "mesh":
-                place = frame @ Frame.of(shape.origin, shape.rotation)
-                if shape.file not in self._corners:
-                    self._corners |= hulls_of_files([shape.file])
-                pieces.append(
-                    self._corners[shape.file] * shape.size @ place.rotation.T + place.origin
-                )
-            else:
+            if shape.kind != "mesh":
                 pieces.append(outline(shape.carried(frame)))
+                continue
+            if shape.file not in self._corners:
+                self._corners |= hulls_of_files([shape.file])
+            place = frame @ Frame.of(shape.origin, shape.rotation)
+            corners = self._corners[shape.file] * shape.size
+            pieces.append(corners @ place.rotation.T + place.origin)
         return pieces
 
-    def _tip(self, name: str, given: Ball | None, radius: float | None) -> tuple[Fingertip, Array]:
-        """Return a fingertip: as given; the one sphere at the link's end; one of a given radius at
-        its origin; or the inscribed one.
+    def _tip(self, name: str, ball: Ball | None, radius: float | None) -> tuple[Fingertip, Array]:
+        """Return a fingertip and the direction in which its link ends.
+
+        The tip is the given ball, or the one sphere at the link's end, or one of the given radius
+        at the link's origin, or the inscribed one.
         """
         place = self.places[name]
         if place.carrier is None:
@@ -324,13 +298,14 @@ class _Importer:
             )
         axis = np.array(next(joint.axis for joint in self.moving if joint.child == place.carrier))
         group = self._group(name)
-        own = self._points(group)
-        pieces = own or self._points(self._group(place.carrier))
-        ball = None if given is None else Ball(_moved(place.frame, given.center), given.radius)
+        own_pieces = self._points(group)
+        pieces = own_pieces or self._points(self._group(place.carrier))
         # a link ends where its shapes are farthest, or at the given tip
-        ends = (
-            np.array([ball.center]) if ball else np.vstack(own) if own else place.frame.origin[None]
-        )
+        if ball is not None:
+            ball = Ball(_moved(place.frame, ball.center), ball.radius)
+            ends = np.array([ball.center])
+        else:
+            ends = np.vstack(own_pieces) if own_pieces else place.frame.origin[None]
         if np.linalg.norm(ends, axis=1).max() < _NEAR and pieces:
             ends = np.vstack(pieces)
         direction = end_direction(ends, axis, self._outward(place.carrier, ends))
@@ -347,52 +322,49 @@ class _Importer:
         return Fingertip(name, place.carrier, *ball), direction
 
     def _outward(self, link: str, points: Array) -> Array:
-        """Return the vector (3,) from the middle of the palm to points (K, 3) of a link [m], in its
-        frame, with all joints at 0.
+        """Return the vector (3,) from the palm's middle to a link's points (K, 3) [m], link frame.
+
+        All joints are at 0.
         """
-        own, above = IDENTITY, link
+        frame, above = IDENTITY, link
         while above is not None:
             joint = next(joint for joint in self.moving if joint.child == above)
-            above, frame = self.places[joint.parent]
-            own = frame @ Frame.of(joint.origin, joint.rotation) @ own
+            above, outer = self.places[joint.parent]
+            frame = outer @ Frame.of(joint.origin, joint.rotation) @ frame
         palm = [outline(shape) for shape in self._shapes(self.root, None)[0]]
         middle = np.vstack(palm).mean(axis=0) if palm else np.zeros(3)
-        return own.rotation.T @ (own.rotation @ points.mean(axis=0) + own.origin - middle)
+        return frame.rotation.T @ (frame.rotation @ points.mean(axis=0) + frame.origin - middle)
 
     def _sphere(
         self, name: str, group: list[str], pieces: list[Array], direction: Array
     ) -> Ball | None:
-        """Return the only sphere among the collision shapes of a link, or of links fixed to it, if
-        it is at the end of the link.
-        """
+        """Return the only collision sphere of a link, or else of those fixed to it, if at its end."""
         spheres = [
-            Ball(_moved(self.places[link].frame, shape.origin), shape.size[0])
-            for link in group
-            for shape in self.links[link].collision
-            if shape.kind == "sphere"
+            [
+                Ball(_moved(self.places[link].frame, shape.origin), shape.size[0])
+                for link in links
+                for shape in self.links[link].collision
+                if shape.kind == "sphere"
+            ]
+            for links in ([name], group)
         ]
-        own = sum(shape.kind == "sphere" for shape in self.links[name].collision)
-        spheres = spheres[:own] if own else spheres
-        if len(spheres) != 1:
+        candidates = spheres[0] or spheres[1]
+        if len(candidates) != 1:
             return None
+        (ball,) = candidates
         end = max(float((piece @ direction).max()) for piece in pieces)
-        return (
-            spheres[0]
-            if end <= float(direction @ spheres[0].center) + 3.0 * spheres[0].radius
-            else None
-        )
+        return ball if end <= float(direction @ ball.center) + 3.0 * ball.radius else None
 
-    def _with_tips(self, link: Link, tips: list[tuple[Fingertip, Array]]) -> Link:
-        """Return the link with a sphere for each fingertip, its other shapes cut back behind them."""
-        for tip, direction in tips:
-            link = cut_back(link, Ball(tip.center, tip.radius), direction)
-            balls = [shape.origin for shape in link.collision if shape.kind == "sphere"]
-            if all(math.dist(center, tip.center) >= 1e-12 for center in balls):
-                sphere = Geometry("sphere", (tip.radius,), tip.center)
-                link = replace(
-                    link, collision=(*link.collision, sphere), visual=(*link.visual, sphere)
-                )
-        return link
+
+def _with_tips(link: Link, tips: list[tuple[Fingertip, Array]]) -> Link:
+    """Return the link with a sphere for each fingertip, its other shapes cut back behind them."""
+    for tip, direction in tips:
+        link = cut_back(link, Ball(tip.center, tip.radius), direction)
+        centers = [shape.origin for shape in link.collision if shape.kind == "sphere"]
+        if all(math.dist(center, tip.center) >= 1e-12 for center in centers):
+            sphere = Geometry("sphere", (tip.radius,), tip.center)
+            link = replace(link, collision=(*link.collision, sphere), visual=(*link.visual, sphere))
+    return link
 
 
 def _moved(frame: Frame, point: Vector3) -> Vector3:
