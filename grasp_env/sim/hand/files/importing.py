@@ -57,7 +57,7 @@ class _Place(NamedTuple):
 
 
 def read_hand(path: str | os.PathLike[str], options: HandOptions) -> ReadHand:
-    """Read the parts of a hand, see `HandDescription.from_file`; links stand after their parents."""
+    """Read a hand as `HandDescription.from_file` says; links stand after their parents."""
     with AllFaults() as check:
         check(options.checked_palm)
         check(options.tips)
@@ -338,7 +338,7 @@ class _Importer:
     def _sphere(
         self, name: str, group: list[str], pieces: list[Array], direction: Array
     ) -> Ball | None:
-        """Return the only collision sphere of a link, or else of those fixed to it, if at its end."""
+        """Return the only sphere of a link, or else of those fixed to it, if it is at the end."""
         spheres = [
             [
                 Ball(_moved(self.places[link].frame, shape.origin), shape.size[0])

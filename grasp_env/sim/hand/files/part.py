@@ -1,4 +1,4 @@
-"""Find the hand in a file: the tree of its joints, the palm, and the arm or robot that carries it."""
+"""Find the hand in a file: its joints, its palm, and the arm or robot that carries it."""
 
 from __future__ import annotations
 
@@ -13,21 +13,19 @@ from grasp_env.sim.hand.files.elements import Ends, FileJoint, FileLink, HandFil
 from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.hand.tree import Mimic
 
+# largest number of motors of an unbranched chain; fingers of public hands have up to 5, arms
+# without a hand 6 and more
 LONGEST_FINGER = 6
-"""Largest number of motors of an unbranched chain; fingers of public hands have up to 5, arms
-without a hand 6 and more."""
+# the same of a chain that ends at a branching; forearms and wrists have up to 3, arms with a hand 4
+# and more
 LONGEST_WRIST = 3
-"""Largest number of motors of a chain that ends at a branching; forearms and wrists have up to 3,
-arms with a hand 4 and more."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """The part of a file that is the hand: the palm's link, and all links fixed to it or carried by
-    it.
-    """
+    """The part of a file that is the hand: the palm and all that it carries."""
 
-    root: str
+    root: str  # the palm's link
     links: tuple[str, ...]
     # fixed joints that carry the palm, read from child to parent
     reversed_joints: frozenset[str] = frozenset()
@@ -37,8 +35,7 @@ class Part:
 def read_part(
     file: HandFile, palm: str | None, tips: Collection[str]
 ) -> tuple[Part, dict[str, FileLink], list[FileJoint]]:
-    """Return the part of a file that is the hand, with a palm that is named or None, its links by
-    name and its joints.
+    """Return the part of a file that is the hand, its links by name and its joints.
 
     An error lists all faults, those of the links named as `tips` included.
     """
@@ -58,12 +55,12 @@ def read_part(
         elements = check(file.elements, kept)
         if fault is not None:
             check.add(fault)
-        check(_known, tips, file.names, part)
+        check(_check_tips, tips, file.names, part)
         check(check_mimics, file.ends, file.fixed, mimics)
     return part, *elements
 
 
-def _known(tips: Collection[str], links: Sequence[str], part: Part) -> None:
+def _check_tips(tips: Collection[str], links: Sequence[str], part: Part) -> None:
     """Check that every fingertip is a link of the hand."""
     if missing := [tip for tip in tips if tip not in links]:
         raise InvalidInputError(
@@ -83,7 +80,7 @@ class _Robot:
         self._ends = file.ends
         self._fixed = file.fixed
         self._above = {child: (joint, parent) for joint, parent, child in file.ends}
-        self.links = tuple(self._down(root))
+        self.links = tuple(self._descendants(root))
         self._group = {root: root}
         # moving joints of each group, with their child links
         self._joints = {root: list[tuple[str, str]]()}
@@ -93,19 +90,17 @@ class _Robot:
             if joint not in file.fixed:
                 self._joints[self._group[parent]].append((joint, link))
                 self._joints[link] = []
-        self._arms = self._chains(file.mimics)
+        self._arms = self._find_arms(file.mimics)
 
-    def _down(self, top: str) -> list[str]:
+    def _descendants(self, top: str) -> list[str]:
         """Return a link and all its descendants, parents first."""
-        found = [top]
-        for link in found:
-            found += [child for _, parent, child in self._ends if parent == link]
-        return found
+        links = [top]
+        for link in links:
+            links += [child for _, parent, child in self._ends if parent == link]
+        return links
 
-    def _chains(self, mimics: Mapping[str, str]) -> dict[str, list[str]]:
-        """Return the motors of each chain that is too long for a finger or a wrist, by the group at
-        its end.
-        """
+    def _find_arms(self, mimics: Mapping[str, str]) -> dict[str, list[str]]:
+        """Return the motors of chains too long for a finger or a wrist, by the group at the end."""
         chains: dict[str, list[str]] = {self._root: []}
         arms: dict[str, list[str]] = {}
         for group, joints in self._joints.items():
@@ -118,15 +113,16 @@ class _Robot:
         return arms
 
     def _palms(self) -> list[str]:
-        """Return candidates for the palm: links at which several chains branch, none of them an
-        arm; if there are arms, links at their ends.
+        """Return candidates for the palm: links at which chains branch, none of them an arm.
+
+        If there are arms, the links are at their ends.
         """
         carriers = set[str]()  # groups that carry arms
         for group in self._arms:
             while group != self._root:
                 group = self._group[self._above[group][1]]
                 carriers.add(group)
-        inside = set[str]()
+        inside = set[str]()  # groups of hands
         palms = dict[str, str]()
         for group, joints in self._joints.items():
             above = self._above.get(group)
@@ -136,27 +132,21 @@ class _Robot:
                 inside.add(group)
                 parents = [self._above[child][1] for _, child in joints]
                 palms[group] = max(parents, key=parents.count)
-        return [palm for group, palm in palms.items() if group in self._arms] or list(
-            palms.values()
-        )
+        on_arms = [palm for group, palm in palms.items() if group in self._arms]
+        return on_arms or list(palms.values())
 
     def whole(self) -> Part:
-        """Return the whole file as the part, unless a chain of joints is too long for a finger or a
-        wrist.
-        """
+        """Return the whole file as the hand, or raise an error if it has an arm."""
         if not self._arms:
             return Part(self._root, self.links)
         group, chain = max(self._arms.items(), key=lambda item: len(item[1]))
         where = " and leads to a branching" if self._joints[group] else ""
         palms = " or ".join(f"palm={name!r}" for name in self._palms())
+        remedy = f"Name the hand's palm, {palms}"
+        nothing = "No link carries several chains that may be fingers"
         raise InvalidInputError(
             f"this is an arm or a whole robot: the chain of {names_of(chain)} has {len(chain)} motors{where}. "
-            + (
-                f"Name the hand's palm, {palms}"
-                if palms
-                else "No link carries several chains that may be fingers"
-            )
-            + f"; palm={self._root!r} reads all of it as one hand"
+            f"{remedy if palms else nothing}; palm={self._root!r} reads all of it as one hand"
         )
 
     def part(self, palm: str) -> Part:
@@ -170,23 +160,21 @@ class _Robot:
         while top in self._above and self._above[top][0] in self._fixed:
             joint, top = self._above[top]
             reversed_joints.append(joint)
-        links = self._down(top)
-        kept = set(links)
-        moving = [joint for joint, _, child in self._ends if joint not in self._fixed]
-        inside = {joint for joint, parent, _ in self._ends if parent in kept}
-        if not inside.intersection(moving):
-            carriers = dict.fromkeys(
-                parent for joint, parent, _ in self._ends if joint not in self._fixed
-            )
+        links = self._descendants(top)
+        moving = [(joint, parent) for joint, parent, _ in self._ends if joint not in self._fixed]
+        carried = {joint for joint, parent, _ in self._ends if parent in links}
+        if not any(joint in carried for joint, _ in moving):
+            carriers = list(dict.fromkeys(parent for _, parent in moving))
             raise InvalidInputError(
-                f"the palm {palm!r} carries no joint that moves; links that do are {names_of(list(carriers))}"
+                f"the palm {palm!r} carries no joint that moves; links that do are {names_of(carriers)}"
             )
         arm = list[str]()
         link = top
         while link in self._above:
             joint, link = self._above[link]
-            arm += [joint] if joint not in self._fixed else []
-        limbs = [joint for joint in moving if joint not in inside and joint not in arm]
+            if joint not in self._fixed:
+                arm.append(joint)
+        limbs = [joint for joint, _ in moving if joint not in carried and joint not in arm]
         notes = list[str]()
         if arm:
             still = f"the joints that carry the palm {palm!r} hold still, their links are left out"
@@ -199,10 +187,8 @@ class _Robot:
 
 
 def find_root(links: Sequence[str], ends: Ends) -> str:
-    """Return the root link, which is the child of no joint; an error lists all faults if the links
-    are not a tree.
-    """
-    children: dict[str, str] = {}
+    """Return the root link; if the links are not a tree, an error lists all faults."""
+    joints: dict[str, str] = {}  # by their child links
     faults = list[str]()
     for joint, *pair in ends:
         faults += [
@@ -211,12 +197,12 @@ def find_root(links: Sequence[str], ends: Ends) -> str:
             if link and link not in links
         ]
         child = pair[1]
-        if child and child in children:
+        if child and child in joints:
             faults.append(
-                f"link {child!r} is the child of two joints, {children[child]!r} and {joint!r}; a hand must be a tree, cut the loop"
+                f"link {child!r} is the child of two joints, {joints[child]!r} and {joint!r}; a hand must be a tree, cut the loop"
             )
-        children[child] = joint
-    roots = [link for link in dict.fromkeys(links) if link not in children]
+        joints[child] = joint
+    roots = [link for link in dict.fromkeys(links) if link not in joints]
     if not roots:
         faults.append("every link is carried by a joint, so the joints form a cycle; cut it")
     elif len(roots) > 1 and not faults:
@@ -228,7 +214,7 @@ def find_root(links: Sequence[str], ends: Ends) -> str:
     grew = True
     while grew and not faults:
         reached = {child for _, parent, child in ends if parent in known} - known
-        known = known | reached
+        known |= reached
         grew = bool(reached)
     if not faults and (rest := [joint for joint, parent, _ in ends if parent not in known]):
         faults.append(f"the joints {names_of(rest)} form a cycle apart from {roots[0]!r}; cut it")
@@ -238,70 +224,63 @@ def find_root(links: Sequence[str], ends: Ends) -> str:
 
 
 def check_mimics(ends: Ends, fixed: Collection[str], mimics: Mapping[str, str]) -> None:
-    """Check that the driver of every coupled joint moves and that couplings form no loop; an error
-    lists all that do not.
-    """
+    """Check that the drivers of coupled joints move and that no couplings form a loop."""
     faults = list[str]()
-    known = [name for name, _, _ in ends]
-    for joint, other in mimics.items():
-        if other not in known:
+    joints = [name for name, _, _ in ends]
+    for joint, driver in mimics.items():
+        if driver not in joints:
             faults.append(
-                f"joint {joint!r} mimics {other!r}, which is not a joint of the file; joints are {names_of(known)}"
+                f"joint {joint!r} mimics {driver!r}, which is not a joint of the file; joints are {names_of(joints)}"
             )
-        elif other in fixed:
+        elif driver in fixed:
             faults.append(
-                f"joint {joint!r} mimics {other!r}, which does not move; make both of them fixed, or move {other!r}"
+                f"joint {joint!r} mimics {driver!r}, which does not move; make both of them fixed, or move {driver!r}"
             )
-        seen = [joint]
-        while seen[-1] in mimics and mimics[seen[-1]] not in seen:
-            seen.append(mimics[seen[-1]])
-        if mimics.get(seen[-1]) == joint:
+        chain = [joint]
+        while chain[-1] in mimics and mimics[chain[-1]] not in chain:
+            chain.append(mimics[chain[-1]])
+        if mimics.get(chain[-1]) == joint:
             faults.append(
-                f"the joints {names_of(sorted(seen))} mimic each other in a loop; one of them needs a motor"
+                f"the joints {names_of(sorted(chain))} mimic each other in a loop; one of them needs a motor"
             )
     with AllFaults() as check:
         check.add(*faults)
 
 
 def arrange(part: Part, joints: Sequence[FileJoint]) -> tuple[list[FileJoint], list[str]]:
-    """Return the joints of a hand, parents before children and otherwise in file order, and
-    sentences on what was changed.
+    """Return the joints of a hand, parents before children, and sentences on what was changed.
 
     Chains of coupled joints are resolved to the joint with the motor. Joints that mimic a joint
     outside the part are fixed, and so are joints with equal limits.
     """
     joints = [_reversed(joint) if joint.name in part.reversed_joints else joint for joint in joints]
     by_name = {joint.name: joint for joint in joints}
-    driven = list[FileJoint]()
+    arranged = list[FileJoint]()
     alone = list[str]()
     stuck = list[str]()
     for joint in joints:
         mimic = joint.mimic
-        while (
-            mimic is not None
-            and mimic.joint in by_name
-            and (before := by_name[mimic.joint].mimic) is not None
-        ):
+        while mimic and mimic.joint in by_name and (before := by_name[mimic.joint].mimic):
             mimic = Mimic(before.joint, mimic.ratio * before.ratio, mimic.angle(before.offset))
         if mimic is not None and mimic.joint not in by_name:
             alone.append(joint.name)
-            driven.append(_frozen(joint, mimic.offset))
+            arranged.append(_frozen(joint, mimic.offset))
         elif not joint.fixed and joint.lower == joint.upper:
             stuck.append(joint.name)
-            driven.append(_frozen(joint, joint.lower))
-        elif mimic is not None and (other := by_name[mimic.joint]).lower == other.upper:
+            arranged.append(_frozen(joint, joint.lower))
+        elif mimic is not None and (driver := by_name[mimic.joint]).lower == driver.upper:
             stuck.append(joint.name)
-            driven.append(_frozen(joint, mimic.angle(other.lower)))
+            arranged.append(_frozen(joint, mimic.angle(driver.lower)))
         else:
-            driven.append(replace(joint, mimic=mimic))
-    equal = "joints with equal limits, lower = upper, hold still"
-    notes = (
-        [f"joints that mimic others that are left out hold still: {names_of(alone)}"]
-        if alone
-        else []
-    )
-    notes += [f"{equal}: {names_of(stuck)}; give the true ranges as joint_limits="] if stuck else []
-    return _ordered(part.root, driven), notes
+            arranged.append(replace(joint, mimic=mimic))
+    notes = list[str]()
+    if alone:
+        notes.append(f"joints that mimic others that are left out hold still: {names_of(alone)}")
+    if stuck:
+        notes.append(
+            f"joints with equal limits, lower = upper, hold still: {names_of(stuck)}; give the true ranges as joint_limits="
+        )
+    return _ordered(part.root, arranged), notes
 
 
 def _ordered(root: str, joints: list[FileJoint]) -> list[FileJoint]:
@@ -310,8 +289,10 @@ def _ordered(root: str, joints: list[FileJoint]) -> list[FileJoint]:
     known = {root}
     rest = list(joints)
     while rest:
-        ordered.append(rest.pop(next(at for at, joint in enumerate(rest) if joint.parent in known)))
-        known.add(ordered[-1].child)
+        joint = next(joint for joint in rest if joint.parent in known)
+        rest.remove(joint)
+        ordered.append(joint)
+        known.add(joint.child)
     return ordered
 
 

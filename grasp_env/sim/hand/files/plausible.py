@@ -205,7 +205,7 @@ class Judge:
         return inertial._replace(inertia=inertia)
 
     def torques(self, given: Mapping[str, float]) -> list[float]:
-        """Return each joint's limit [N m] (sliding: [N]): as given, else the file's if plausible."""
+        """Return each joint's limit [N m] or [N]: as given, else the file's if plausible."""
         tip_forces = self._implausible_efforts(given)
         limits = list[float]()
         assumed = defaultdict[tuple[float | None, bool], dict[str, float]](dict)
