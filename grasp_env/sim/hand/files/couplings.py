@@ -1,8 +1,7 @@
-"""Find the joints that each motor of a MuJoCo model moves, by simulating each motor without gravity
-and contacts.
+"""Find the joints that each motor of a MuJoCo model moves.
 
-Hands couple joints by equalities, tendons, springs and closed loops of links. The simulation
-includes all of them, so one method covers all.
+Hands couple joints by equalities, tendons, springs and closed loops of links. A simulation of each
+motor, without gravity and contacts, covers all of them.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ _STATIONS = 7  # positions of a motor at which the joints are measured
 _TRAVEL, _REST = 0.2, 0.8
 # steps for one motor, and time step [s]; that of the file is adjusted to these
 _MAX_STEPS, _LONGEST_STEP = 4000, 0.005
-_HELD = 1e6  # armature that freezes a joint against constraints [kg m^2]
+_FROZEN = 1e6  # armature that freezes a joint against constraints [kg m^2]
 # armature of hinges [kg m^2] and slides [kg], so that joints on one tendon move alike
 _ROTOR, _SLIDER = 1e-3, 1.0
 _SETTLING = 0.05  # time in which a joint without springs comes to rest [s]
@@ -38,16 +37,12 @@ _FREE_TURN, _FREE_WAY = np.pi, 0.1
 
 @dataclass(frozen=True)
 class Motor:
-    """A motor, the joint that it moves farthest, and the others: angle = ratio * angle of `joint` +
-    offset.
-    """
+    """A motor, the joint that it moves farthest, and the joints that follow that one."""
 
     actuator: int  # -1 for a joint that counts as a motor because the file has no actuators
     joint: int
-    followers: dict[int, tuple[float, float]]  # ratio and offset
-    # torque of `joint` [N m] per force of the motor [N or N m], including the share of the
-    # followers
-    arm: float
+    followers: dict[int, tuple[float, float]]  # ratio, offset: angle = ratio * driver's + offset
+    arm: float  # torque of `joint` [N m], followers' shares included, per motor force [N or N m]
     bend: float  # largest distance of a follower from its line, as a share of its travel
 
 
@@ -56,33 +51,33 @@ def find_motors(model: Any) -> list[Motor]:
 
     Free and ball joints are frozen. A joint belongs to the motor that moves it farthest.
     """
-    chosen = _actuators(model)
-    tied = _tied(model)
-    if not chosen and model.nu == 0:
+    candidates = _actuators(model)
+    if model.nu == 0:
         followers = {
             int(model.eq_obj1id[row]) for row in range(model.neq) if _is_joint_pair(model, row)
         }
-        chosen = [(-1, joint) for joint in _movable(model) if joint not in followers]
-    bench = _Bench(model, [joint for _, joint in chosen if joint >= 0])
-    own = {joint for _, joint in chosen}
-    found = list[tuple[Motor, dict[int, float]]]()
-    for actuator, joint in chosen:
+        candidates = [(-1, joint) for joint in _movable(model) if joint not in followers]
+    bench = _Bench(model, [joint for _, joint in candidates if joint >= 0])
+    tied = _tied(model)
+    driven = {joint for _, joint in candidates}
+    measured = list[tuple[Motor, dict[int, float]]]()
+    for actuator, joint in candidates:
         arm = abs(float(model.actuator_gear[actuator, 0])) if actuator >= 0 else 1.0
         if joint >= 0 and joint not in tied:
-            found.append((Motor(actuator, joint, {}, arm, 0.0), {}))
-        elif (moved := bench.moved_by(actuator, joint, arm)) is not None:
-            found.append(moved)
+            measured.append((Motor(actuator, joint, {}, arm, 0.0), {}))
+        elif (motor := bench.moved_by(actuator, joint, arm)) is not None:
+            measured.append(motor)
     motors = list[Motor]()
     taken = set[int]()
-    for index, (motor, spans) in enumerate(found):
+    for index, (motor, travels) in enumerate(measured):
         if motor.joint in taken:
             continue
-        others = [far for number, (_, far) in enumerate(found) if number != index]
+        others = [travel for number, (_, travel) in enumerate(measured) if number != index]
         followers = {
             joint: line
             for joint, line in motor.followers.items()
-            if joint not in taken | own
-            and all(far.get(joint, 0.0) <= spans[joint] for far in others)
+            if joint not in taken | driven
+            and all(other.get(joint, 0.0) <= travels[joint] for other in others)
         }
         taken |= {motor.joint, *followers}
         motors.append(replace(motor, followers=followers))
@@ -90,7 +85,6 @@ def find_motors(model: Any) -> list[Motor]:
 
 
 def _movable(model: Any) -> list[int]:
-    """Return the numbers of hinges and slides."""
     kinds = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
     return [joint for joint in range(model.njnt) if int(model.jnt_type[joint]) in kinds]
 
@@ -102,21 +96,25 @@ def _is_joint_pair(model: Any, row: int) -> bool:
 def _tied(model: Any) -> set[int]:
     """Return the joints that an equality or a tendon connects to others."""
     joints = {int(model.dof_jntid[dof]) for dof in np.ravel(model.ten_J_colind).tolist()}
-    bodies = (int(mujoco.mjtObj.mjOBJ_BODY), int(mujoco.mjtObj.mjOBJ_SITE))
     for row in range(model.neq):
+        kind = int(model.eq_objtype[row])
+        on_site = kind == int(mujoco.mjtObj.mjOBJ_SITE)
         ends = (int(model.eq_obj1id[row]), int(model.eq_obj2id[row]))
         if _is_joint_pair(model, row):
             joints |= {end for end in ends if end >= 0}
-        elif int(model.eq_objtype[row]) in bodies:
-            on_site = int(model.eq_objtype[row]) == bodies[1]
+        elif on_site or kind == int(mujoco.mjtObj.mjOBJ_BODY):
             for end in ends:
                 body = int(model.site_bodyid[end]) if on_site else end
                 while body > 0:
-                    first = int(model.body_jntadr[body])
-                    count = int(model.body_jntnum[body])
-                    joints |= set(range(first, first + count)) if count else set()
+                    joints |= {*joints_of(model, body)}
                     body = int(model.body_parentid[body])
     return joints
+
+
+def joints_of(model: Any, body: int) -> range:
+    """Return the numbers of a body's joints."""
+    first = int(model.body_jntadr[body])
+    return range(first, first + int(model.body_jntnum[body]))
 
 
 def _actuators(model: Any) -> list[tuple[int, int]]:
@@ -128,21 +126,22 @@ def _actuators(model: Any) -> list[tuple[int, int]]:
     tendons = list[tuple[int, int]]()
     for actuator in range(model.nu):
         target = int(model.actuator_trnid[actuator, 0])
-        how = int(model.actuator_trntype[actuator])
-        if how in on_joint and target in movable:
+        transmission = int(model.actuator_trntype[actuator])
+        if transmission in on_joint and target in movable:
             joints.append((actuator, target))
-        elif how == int(kind.mjTRN_TENDON):
+        elif transmission == int(kind.mjTRN_TENDON):
             tendons.append((actuator, -1))
     return [*joints, *tendons]
 
 
 class _Bench:
-    """A test bench that moves the motors of a model one at a time, without gravity and contacts;
-    joints of others are `held`.
+    """A test bench that moves the motors of a model one at a time, without gravity and contacts.
+
+    The joints of other motors are `frozen`.
     """
 
-    def __init__(self, model: Any, held: list[int]) -> None:
-        self.model, self.held = model, held
+    def __init__(self, model: Any, frozen: list[int]) -> None:
+        self.model, self.frozen = model, frozen
         self.movable = _movable(model)
         self.addresses = model.jnt_qposadr[self.movable]
         limited = model.jnt_limited[self.movable].astype(bool)
@@ -150,87 +149,72 @@ class _Bench:
         free = np.where(hinge, _FREE_TURN, _FREE_WAY)
         self.low = np.where(limited, model.jnt_range[self.movable, 0], -free)
         self.high = np.where(limited, model.jnt_range[self.movable, 1], free)
-        rows = [
-            row
-            for row in range(model.neq)
-            if _is_joint_pair(model, row) and int(model.eq_obj2id[row]) >= 0
-        ]
-        self.paired = {
-            int(end) for row in rows for end in (model.eq_obj1id[row], model.eq_obj2id[row])
-        }
-        self.lines = {
-            (int(model.eq_obj1id[row]), int(model.eq_obj2id[row])): model.eq_data[row, :2].tolist()
-            for row in rows
-            if not model.eq_data[row, 2:5].any()
-        }
+        self.paired = set[int]()  # joints of equalities
+        self.lines = dict[tuple[int, int], list[float]]()  # offset and ratio of linear equalities
+        for row in range(model.neq):
+            pair = int(model.eq_obj1id[row]), int(model.eq_obj2id[row])
+            if _is_joint_pair(model, row) and pair[1] >= 0:
+                self.paired |= {*pair}
+                if not model.eq_data[row, 2:5].any():
+                    self.lines[pair] = model.eq_data[row, :2].tolist()
 
     def moved_by(
         self, actuator: int, joint: int, arm: float
     ) -> tuple[Motor, dict[int, float]] | None:
-        """Return a motor with all joints that it moves, and the travel of each over its range;
-        None: none moves, or the simulation fails.
+        """Return a motor with all joints that it moves, and the share of its range that each moves.
 
-        The actuator is -1 for none, the joint -1 for a tendon.
+        The actuator is -1 for none, the joint -1 for a tendon. The result is None if no joint moves
+        or the simulation fails.
         """
         path = self._path(actuator, joint)
         if path is None:
             return None
         angles, lengths = path
         spans = np.ptp(angles, axis=0) / (self.high - self.low)
-        column = (
-            self.movable.index(joint)
-            if joint >= 0
-            else int((spans >= _NEARLY * spans.max()).argmax())
-        )
+        if joint >= 0:
+            column = self.movable.index(joint)
+        else:
+            column = int((spans >= _NEARLY * spans.max()).argmax())
         driver = angles[:, column]
         if np.ptp(driver) < _STILL:
             return None
         first = self.movable[column]
         followers = dict[int, tuple[float, float]]()
-        far = {first: float(spans[column])}
+        travels = {first: float(spans[column])}
         bend = 0.0
-        for other, name in enumerate(self.movable):
+        for other, number in enumerate(self.movable):
             travel = float(np.ptp(angles[:, other]))
-            moves = travel > _STILL if name in self.paired else spans[other] >= _MOVED
-            if other == column or not moves or name in self.held:
+            moves = travel > _STILL if number in self.paired else spans[other] >= _MOVED
+            if other == column or not moves or number in self.frozen:
                 continue
             ratio, offset = np.polyfit(driver, angles[:, other], 1)
-            away = float(np.abs(ratio * driver + offset - angles[:, other]).max())
+            error = float(np.abs(ratio * driver + offset - angles[:, other]).max())
             # rounded to the precision of the measurement
-            line = (
-                float(f"{ratio:.{_DIGITS}g}"),
-                round(float(offset), max(0, 3 - math.floor(math.log10(travel)))),
-            )
-            followers[name], far[name] = self._equality(name, first) or line, float(spans[other])
-            bend = max(bend, away / travel)
+            decimals = max(0, 3 - math.floor(math.log10(travel)))
+            line = float(f"{ratio:.{_DIGITS}g}"), round(float(offset), decimals)
+            followers[number] = self._equality(number, first) or line
+            travels[number] = float(spans[other])
+            bend = max(bend, error / travel)
         if joint < 0:
             arm = abs(float(np.polyfit(driver, lengths, 1)[0]))
-        return Motor(actuator, first, followers, arm, bend), far
+        return Motor(actuator, first, followers, arm, bend), travels
 
     def _equality(self, joint: int, driver: int) -> tuple[float, float] | None:
-        """Return ratio and offset of a joint that a linear equality couples to a driver; None
-        without such an equality.
-        """
-        rest, driven = (
-            float(self.model.qpos0[self.model.jnt_qposadr[each]]) for each in (joint, driver)
-        )
+        """Return ratio and offset of a linear equality between a joint and a driver, if any."""
+        rest, driver_rest = self.model.qpos0[self.model.jnt_qposadr[[joint, driver]]].tolist()
         if (joint, driver) in self.lines:
             offset, ratio = self.lines[joint, driver]
-            return ratio, rest + offset - ratio * driven
+            return ratio, rest + offset - ratio * driver_rest
         offset, ratio = self.lines.get((driver, joint), (0.0, 0.0))
-        return (1.0 / ratio, rest - (driven + offset) / ratio) if ratio != 0.0 else None
+        return (1.0 / ratio, rest - (driver_rest + offset) / ratio) if ratio != 0.0 else None
 
     def _path(self, actuator: int, joint: int) -> tuple[Array, Array] | None:
-        """Return angles of the movable joints (K, J) and lengths of the actuator (K,) at the
-        motor's stations.
-        """
+        """Return the joints' angles (K, J) and the actuator's lengths (K,) at K stations."""
         model = copy(self.model)
         model.opt.gravity[:] = 0.0
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-        model.opt.timestep = max(
-            float(model.opt.timestep), _STATIONS * (_TRAVEL + _REST) / _MAX_STEPS
-        )
-        model.opt.timestep = min(float(model.opt.timestep), _LONGEST_STEP)
+        shortest = _STATIONS * (_TRAVEL + _REST) / _MAX_STEPS
+        model.opt.timestep = min(max(float(model.opt.timestep), shortest), _LONGEST_STEP)
         model.opt.integrator = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
         model.dof_frictionloss[:] = model.tendon_frictionloss[:] = model.tendon_damping[:] = 0.0
         hinge = int(mujoco.mjtJoint.mjJNT_HINGE)
@@ -238,18 +222,11 @@ class _Bench:
             dof = int(model.jnt_dofadr[other])
             heavier = _ROTOR if int(model.jnt_type[other]) == hinge else _SLIDER
             model.dof_armature[dof], model.dof_damping[dof] = heavier, heavier / _SETTLING
-        still = [*self.held, joint] if joint >= 0 else self.held
-        still = [
-            *still,
-            *(
-                other
-                for other in range(model.njnt)
-                if other not in self.movable and self._free(other)
-            ),
-        ]
-        for other in still:
+        free = np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)).tolist()
+        frozen = [*self.frozen, *([joint] if joint >= 0 else []), *free]
+        for other in frozen:
             first = int(model.jnt_dofadr[other])
-            model.dof_armature[first : first + (6 if self._free(other) else 1)] = _HELD
+            model.dof_armature[first : first + (6 if other in free else 1)] = _FROZEN
         data = mujoco.MjData(model)
         mujoco.mj_setConst(model, data)
         mujoco.mj_forward(model, data)
@@ -257,21 +234,18 @@ class _Bench:
         travel, rest = (round(seconds / model.opt.timestep) for seconds in (_TRAVEL, _REST))
         if joint >= 0:
             column = self.movable.index(joint)
-            ends = (self.low[column], self.high[column])
+            low, high = self.low[column], self.high[column]
             address = int(model.jnt_qposadr[joint])
             dof = int(model.jnt_dofadr[joint])
         else:
-            ends = (
-                tuple(model.actuator_ctrlrange[actuator])
-                if model.actuator_ctrllimited[actuator]
-                else (-1.0, 1.0)
-            )
+            limited = model.actuator_ctrllimited[actuator]
+            low, high = model.actuator_ctrlrange[actuator] if limited else (-1.0, 1.0)
             address = dof = -1
-        model.jnt_limited[still] = False
+        model.jnt_limited[frozen] = False
         # limits of coupled joints narrow the motor's range, but do not change the line
         if joint >= 0:
             model.jnt_limited[list(self.paired)] = False
-        stations = np.linspace(ends[0], ends[1], _STATIONS)
+        stations = np.linspace(low, high, _STATIONS).tolist()
         for _ in range(travel + rest):  # the initial posture may violate constraints
             mujoco.mj_step(model, data)
         before = float(data.qpos[address] if joint >= 0 else data.ctrl[actuator])
@@ -279,24 +253,20 @@ class _Bench:
         lengths = np.empty(_STATIONS)
         for row, target in enumerate(stations):
             for step in range(travel + rest):
-                part = min(1.0, (step + 1) / travel)
-                now = before + part * (float(target) - before)
+                position = before + min(1.0, (step + 1) / travel) * (target - before)
                 if joint >= 0:
-                    data.qpos[address] = now
-                    data.qvel[dof] = 0.0 if step >= travel else (float(target) - before) / _TRAVEL
+                    data.qpos[address] = position
+                    data.qvel[dof] = 0.0 if step >= travel else (target - before) / _TRAVEL
                 else:
-                    data.ctrl[actuator] = now
+                    data.ctrl[actuator] = position
                 mujoco.mj_step(model, data)
             if joint >= 0:
                 data.qpos[address] = target
-            before = float(target)
+            before = target
             mujoco.mj_forward(model, data)
             angles[row] = data.qpos[self.addresses]
             lengths[row] = data.actuator_length[actuator] if actuator >= 0 else 0.0
         return (angles, lengths) if np.isfinite(angles).all() else None
-
-    def _free(self, joint: int) -> bool:
-        return int(self.model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_FREE)
 
 
 def _idle(model: Any, data: Any) -> Array:
