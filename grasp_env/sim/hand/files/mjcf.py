@@ -1,6 +1,4 @@
-"""Read a MuJoCo model file (MJCF) as links and joints like those of a URDF; MuJoCo's own compiler
-parses the file.
-"""
+"""Read a MuJoCo model file (MJCF), which MuJoCo compiles, as links and joints like a URDF's."""
 
 from __future__ import annotations
 
@@ -13,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from grasp_env.errors import InvalidInputError
-from grasp_env.sim.hand.files.couplings import STRAIGHT, Motor, find_motors
+from grasp_env.sim.hand.files.couplings import STRAIGHT, Motor, find_motors, joints_of
 from grasp_env.sim.hand.files.elements import FileJoint, FileLink, names_of
 from grasp_env.sim.hand.files.mjcf_model import frame_of, load_model, model_name, name_of
 from grasp_env.sim.hand.files.mjcf_shapes import MjcfShapes
@@ -55,38 +53,33 @@ class MjcfReader:
                 "the file has no joint; a part that other files include is not read by itself: give the file that includes it"
             )
         if degrees:
-            self._mend_degrees()
+            self._repair_degrees()
         self.motors = find_motors(model)
         self._note_motors()
-        moving = {motor.joint for motor in self.motors} | {
-            other for motor in self.motors for other in motor.followers
-        }
+        moving = {joint for motor in self.motors for joint in (motor.joint, *motor.followers)}
         self._bodies, self._root = self._tree(moving)
         self._names = {body: name_of(model, "body", body) for body in self._bodies}
         self._joints = {
-            body: [joint for joint in self._joints_of(body) if joint in moving]
+            body: [joint for joint in joints_of(model, body) if joint in moving]
             for body in self._bodies
         }
         self._tips = self._named_tips(tips)
-        self._links, self._ends = self._read()
+        self._links, self._file_joints = self._read()
         self.names = [link.name for link in self._links]
-        self.ends = [(joint.name, joint.parent, joint.child) for joint in self._ends]
-        self.mimics = {
-            joint.name: joint.mimic.joint for joint in self._ends if joint.mimic is not None
-        }
-        self.fixed = {joint.name for joint in self._ends if joint.fixed}
+        self.ends = [(joint.name, joint.parent, joint.child) for joint in self._file_joints]
+        self.mimics = {joint.name: joint.mimic.joint for joint in self._file_joints if joint.mimic}
+        self.fixed = {joint.name for joint in self._file_joints if joint.fixed}
 
-    def elements(self, wanted: Collection[str]) -> tuple[dict[str, FileLink], list[FileJoint]]:
+    def elements(self, names: Collection[str]) -> tuple[dict[str, FileLink], list[FileJoint]]:
         """See `urdf.UrdfReader`."""
-        links = {link.name: link for link in self._links if link.name in wanted}
-        return links, [
-            joint for joint in self._ends if not {joint.parent, joint.child} - set(wanted)
-        ]
+        links = {link.name: link for link in self._links if link.name in names}
+        joints = self._file_joints
+        return links, [joint for joint in joints if joint.parent in links and joint.child in links]
 
     def with_shapes(self, links: dict[str, FileLink]) -> dict[str, FileLink]:
         """See `urdf.UrdfReader`."""
         bodies = {name: body for body, name in self._names.items()}
-        own = {geom for _, geom in self._tips.values() if geom is not None}
+        tip_geoms = {geom for _, geom in self._tips.values() if geom is not None}
         shaped = dict[str, FileLink]()
         for name, link in progress_bar(
             list(links.items()), f"{self.path.name}: convex pieces of meshes"
@@ -95,25 +88,23 @@ class MjcfReader:
             if name in self._tips:
                 _, geom = self._tips[name]
                 if geom is None:
-                    solids = [
-                        Geometry("sphere", (max(float(self.model.site(name).size[0]), SMALLEST),))
-                    ]
+                    radius = max(float(self.model.site(name).size[0]), SMALLEST)
+                    solids = [Geometry("sphere", (radius,))]
                 else:
                     solids = self._shapes.solids(geom, IDENTITY)
                 shaped[name] = replace(link, collision=tuple(solids))
             elif name in bodies:
+                body = bodies[name]
                 collision, visual, color = self._shapes.of_body(
-                    bodies[name], self._shifts[bodies[name]], own
+                    body, self._shifts[body], without=tip_geoms
                 )
                 shaped[name] = replace(
                     link, collision=tuple(collision), visual=tuple(visual), color=color
                 )
         return shaped
 
-    def _mend_degrees(self) -> None:
-        """Take the angles of hinges as radians if MuJoCo read them as degrees and their ranges are
-        implausibly small.
-        """
+    def _repair_degrees(self) -> None:
+        """Take hinge angles, which MuJoCo read as degrees, as radians if ranges are too small."""
         model = self.model
         hinges = np.flatnonzero(
             (model.jnt_type == int(mujoco.mjtJoint.mjJNT_HINGE)) & (model.jnt_limited != 0)
@@ -135,41 +126,28 @@ class MjcfReader:
             raise InvalidInputError(
                 "no actuator moves a hinge or slide joint; add <position joint=.../> for each motor of the hand"
             )
-        acting = {motor.actuator for motor in self.motors}
-        idle = [
-            name_of(model, "actuator", number) for number in range(model.nu) if number not in acting
-        ]
+        idle = {*range(model.nu)} - {motor.actuator for motor in self.motors}
         if idle:
-            self.notes.append(
-                f"actuators that move no joint of their own are left out: {names_of(idle)}"
-            )
+            names = names_of([name_of(model, "actuator", number) for number in sorted(idle)])
+            self.notes.append(f"actuators that move no joint of their own are left out: {names}")
         lines = list[str]()
         for motor in self.motors:
             driver = name_of(model, "joint", motor.joint)
-            bend = (
-                f" (misses by up to {motor.bend:.0%} of its travel)"
-                if motor.bend > STRAIGHT
-                else ""
-            )
-            for other, (ratio, offset) in motor.followers.items():
+            error = f" (misses by up to {motor.bend:.0%} of its travel)"
+            error = error if motor.bend > STRAIGHT else ""
+            for joint, (ratio, offset) in motor.followers.items():
                 shift = f" {offset:+g}" if offset else ""
-                lines.append(
-                    f"{name_of(model, 'joint', other)} = {ratio:g} * {driver}{shift}{bend}"
-                )
+                name = name_of(model, "joint", joint)
+                lines.append(f"{name} = {ratio:g} * {driver}{shift}{error}")
         if lines:
             self.notes.append(
                 f"joints that share a motor are coupled as MuJoCo moves them: {', '.join(lines)}"
             )
 
-    def _joints_of(self, body: int) -> list[int]:
-        first = int(self.model.body_jntadr[body])
-        count = int(self.model.body_jntnum[body])
-        return list(range(first, first + count))
-
     def _tree(self, moving: set[int]) -> tuple[list[int], int]:
         """Return the bodies of the hand, parents first, and the root body."""
         model = self.model
-        parent = [int(number) for number in model.body_parentid]
+        parent = model.body_parentid.tolist()
 
         def above(body: int) -> list[int]:
             chain = [body]
@@ -180,18 +158,17 @@ class MjcfReader:
         carriers = {int(model.jnt_bodyid[joint]) for joint in moving}
         tops = {above(body)[-2] for body in carriers}
         (root,) = tops if len(tops) == 1 and not carriers & tops else (0,)
-        inside = [body for body in range(model.nbody) if root in above(body)]
         ball = int(mujoco.mjtJoint.mjJNT_BALL)
         free = int(mujoco.mjtJoint.mjJNT_FREE)
         still = list[str]()
         left = list[str]()
         bodies = list[int]()
-        for body in inside:
+        for body in range(model.nbody):
             if body != root and parent[body] not in bodies:
                 continue
-            passive = [joint for joint in self._joints_of(body) if joint not in moving]
+            passive = [joint for joint in joints_of(model, body) if joint not in moving]
             kinds = {int(model.jnt_type[joint]) for joint in passive}
-            carries = carriers & {other for other in inside if body in above(other)}
+            carries = any(body in above(carrier) for carrier in carriers)
             if ball in kinds and carries:
                 raise InvalidInputError(
                     f"the ball joint {name_of(model, 'joint', passive[0])!r} has no motor and carries joints that motors move: such parallel "
@@ -213,23 +190,19 @@ class MjcfReader:
         return bodies, root
 
     def _named_tips(self, tips: Sequence[str]) -> dict[str, tuple[int, int | None]]:
-        """Return, for each tip that is a site or geometry, its body and the geometry's number, None
-        for a site.
-        """
-        found = dict[str, tuple[int, int | None]]()
+        """Return body and geometry of each tip that is one, or body and None of one that is a site."""
+        model = self.model
+        named = dict[str, tuple[int, int | None]]()
         for name in tips:
             if name in self._names.values():
                 continue
-            kinds = mujoco.mjtObj
-            site, geom = (
-                mujoco.mj_name2id(self.model, kind, name)
-                for kind in (kinds.mjOBJ_SITE, kinds.mjOBJ_GEOM)
-            )
-            if site >= 0 and int(self.model.site_bodyid[site]) in self._bodies:
-                found[name] = int(self.model.site_bodyid[site]), None
-            if geom >= 0 and int(self.model.geom_bodyid[geom]) in self._bodies:
-                found[name] = int(self.model.geom_bodyid[geom]), geom
-        return found
+            site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name)
+            geom = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, name)
+            if site >= 0 and (body := int(model.site_bodyid[site])) in self._bodies:
+                named[name] = body, None
+            if geom >= 0 and (body := int(model.geom_bodyid[geom])) in self._bodies:
+                named[name] = body, geom
+        return named
 
     def _read(self) -> tuple[list[FileLink], list[FileJoint]]:
         model = self.model
@@ -239,7 +212,9 @@ class MjcfReader:
         shifts = {self._root: IDENTITY}
         ends = {self._root: self._names[self._root]}
         followers = {
-            other: (motor, line) for motor in self.motors for other, line in motor.followers.items()
+            joint: (motor.joint, *line)
+            for motor in self.motors
+            for joint, line in motor.followers.items()
         }
         efforts = {motor.joint: self._effort(motor) for motor in self.motors}
         for body in self._bodies:
@@ -250,29 +225,26 @@ class MjcfReader:
             parent = ends[above]
             place = shifts[above] @ frame_of(model.body_pos[body], model.body_quat[body])
             name = self._names[body]
-            moved = self._joints[body]
-            for number, joint in enumerate(moved):
-                own = name_of(model, "joint", joint)
-                child = name if number == len(moved) - 1 else f"{name}/{own}"
+            body_joints = self._joints[body]
+            for joint in body_joints:
+                joint_name = name_of(model, "joint", joint)
+                child = name if joint == body_joints[-1] else f"{name}/{joint_name}"
                 axis = np.array(model.jnt_axis[joint])
                 anchor = np.array(model.jnt_pos[joint])
                 first = float(model.qpos0[model.jnt_qposadr[joint]])
                 sliding = int(model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_SLIDE)
                 zero = Frame(np.eye(3), anchor) @ Frame.of_joint(axis, -first, sliding)
                 x, y, z = (axis / np.linalg.norm(axis)).tolist()
-                lower, upper = (
-                    model.jnt_range[joint].tolist()
-                    if model.jnt_limited[joint]
-                    else (-math.inf, math.inf)
-                )
+                lower, upper = -math.inf, math.inf
+                if model.jnt_limited[joint]:
+                    lower, upper = model.jnt_range[joint].tolist()
                 mimic = None
-                rotor = float(model.dof_armature[model.jnt_dofadr[joint]])
                 if joint in followers:
-                    motor, (ratio, offset) = followers[joint]
-                    mimic = Mimic(name_of(model, "joint", motor.joint), ratio, offset)
+                    driver, ratio, offset = followers[joint]
+                    mimic = Mimic(name_of(model, "joint", driver), ratio, offset)
                 joints.append(
                     FileJoint(
-                        own,
+                        joint_name,
                         parent,
                         child,
                         False,
@@ -283,55 +255,45 @@ class MjcfReader:
                         efforts.get(joint),
                         sliding,
                         mimic,
-                        rotor,
+                        float(model.dof_armature[model.jnt_dofadr[joint]]),
                     )
                 )
                 parent = child
                 place = Frame(np.eye(3), -anchor)
                 if child != name:
-                    links.append(
-                        FileLink(
-                            child, _LIGHT, IDENTITY, inertia_numbers(_LIGHT_INERTIA * np.eye(3))
-                        )
-                    )
-            if not moved:
+                    inertia = inertia_numbers(_LIGHT_INERTIA * np.eye(3))
+                    links.append(FileLink(child, _LIGHT, IDENTITY, inertia))
+            if not body_joints:
                 joints.append(FileJoint(f"{name}/fixed", parent, name, True, *place.numbers()))
                 place = IDENTITY
             shifts[body], ends[body] = place, name
             links.append(self._link(body, place))
         for name, (body, geom) in self._tips.items():
-            site = (
-                IDENTITY
-                if geom is not None
-                else frame_of(model.site(name).pos, model.site(name).quat)
-            )
+            place = shifts[body]
+            if geom is None:
+                place @= frame_of(model.site(name).pos, model.site(name).quat)
             links.append(FileLink(name))
-            joints.append(
-                FileJoint(f"{name}/fixed", ends[body], name, True, *(shifts[body] @ site).numbers())
-            )
+            joints.append(FileJoint(f"{name}/fixed", ends[body], name, True, *place.numbers()))
         self._shifts = shifts
         return links, joints
 
     def _effort(self, motor: Motor) -> float | None:
         """Return the largest torque of a motor at its joint; None if the file has none."""
         model = self.model
-        found = list[float]()
-        if motor.actuator >= 0:
-            if model.actuator_forcelimited[motor.actuator]:
-                found.append(
-                    float(np.abs(model.actuator_forcerange[motor.actuator]).max()) * motor.arm
-                )
-            elif (
-                model.actuator_ctrllimited[motor.actuator]
-                and not model.actuator_biasprm[motor.actuator].any()
-            ):
-                most = float(np.abs(model.actuator_ctrlrange[motor.actuator]).max())
-                found.append(
-                    abs(float(model.actuator_gainprm[motor.actuator, 0])) * most * motor.arm
-                )
+        actuator = motor.actuator
+        efforts = list[float]()
+        if actuator >= 0 and model.actuator_forcelimited[actuator]:
+            efforts.append(float(np.abs(model.actuator_forcerange[actuator]).max()) * motor.arm)
+        elif (
+            actuator >= 0
+            and model.actuator_ctrllimited[actuator]
+            and not model.actuator_biasprm[actuator].any()
+        ):
+            control = float(np.abs(model.actuator_ctrlrange[actuator]).max())
+            efforts.append(abs(float(model.actuator_gainprm[actuator, 0])) * control * motor.arm)
         if model.jnt_actfrclimited[motor.joint]:
-            found.append(float(np.abs(model.jnt_actfrcrange[motor.joint]).max()))
-        return min(found, default=None)
+            efforts.append(float(np.abs(model.jnt_actfrcrange[motor.joint]).max()))
+        return min(efforts, default=None)
 
     def _link(self, body: int, shift: Frame) -> FileLink:
         """Return a body as a link without shapes, in the frame of its joint."""

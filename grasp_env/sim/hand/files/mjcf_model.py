@@ -1,6 +1,4 @@
-"""Compile MuJoCo model files (MJCF) in a separate process, and read names, files and frames of a
-compiled model.
-"""
+"""Compile MuJoCo model files (MJCF) in a separate process, and read the compiled model."""
 
 from __future__ import annotations
 
@@ -23,11 +21,7 @@ _SECONDS = 30.0
 _MAX_MEMORY = 8 << 30  # longest time [s] and largest memory [bytes] to compile a file
 _UNNAMED = "MuJoCo Model"  # name that MuJoCo gives to a model without one
 # fields with the number of elements of each kind
-_COUNTS = {
-    "body": "nbody",
-    "joint": "njnt",
-    "actuator": "nu",
-}
+_COUNTS = {"body": "nbody", "joint": "njnt", "actuator": "nu"}
 
 
 def load_model(path: Path) -> tuple[Any, bool]:
@@ -36,20 +30,24 @@ def load_model(path: Path) -> tuple[Any, bool]:
     task = f"{__name__}:compile_mjcf"
     text = f"compiling {path.name}"
     try:
-        made = apart(task, text, _SECONDS, memory=_MAX_MEMORY, path=np.array(str(path.absolute())))
+        compiled = apart(
+            task, text, _SECONDS, memory=_MAX_MEMORY, path=np.array(str(path.absolute()))
+        )
     except (TimeoutError, ChildProcessError) as error:
         raise InvalidInputError(
             f"{where}: MuJoCo's compiler failed: {str(error).splitlines()[-1]}"
         ) from None
-    if "error" in made:
-        raise InvalidInputError(f"{where}: {' '.join(str(made['error']).split())}")
-    model = mujoco.MjModel.from_binary_path("model.mjb", {"model.mjb": made["model"].tobytes()})
-    return model, bool(made["degrees"])
+    if "error" in compiled:
+        raise InvalidInputError(f"{where}: {' '.join(str(compiled['error']).split())}")
+    name = "model.mjb"
+    model = mujoco.MjModel.from_binary_path(name, {name: compiled["model"].tobytes()})
+    return model, bool(compiled["degrees"])
 
 
 def compile_mjcf(path: Any) -> dict[str, Any]:
-    """Return the binary "model", uint8, of a file and "degrees", True if its angles are; or the
-    "error". `apart` runs this function.
+    """Return the binary "model", uint8, and "degrees", True if its angles are; or the "error".
+
+    `apart` runs this function.
     """
     file = Path(str(path))
     first, spec = "", None
@@ -67,14 +65,12 @@ def compile_mjcf(path: Any) -> dict[str, Any]:
 
 
 def _stand_ins(spec: Any, folder: Path) -> str:
-    """Return a sentence about a mesh or texture of a specification that is something else, see
-    `stand_in`; "" if none is, or without one.
-    """
+    """Return a sentence about a mesh or texture that is something else, see `stand_in`, or ""."""
     if spec is None:
         return ""
-    for within, parts in ((spec.meshdir, spec.meshes), (spec.texturedir, spec.textures)):
-        for part in parts:
-            file = folder / within / part.file
+    for within, elements in ((spec.meshdir, spec.meshes), (spec.texturedir, spec.textures)):
+        for element in elements:
+            file = folder / within / element.file
             if not file.is_file():
                 continue
             with suppress(OSError), file.open("rb") as opened:
@@ -127,5 +123,4 @@ def frame_of(position: Array, quaternion: Array) -> Frame:
 
 
 def _text(blob: Any, address: int) -> str:
-    """Return the zero-terminated text at an address."""
     return bytes(blob[address:]).split(b"\0", 1)[0].decode(errors="replace")

@@ -17,9 +17,7 @@ from grasp_env.sim.mujoco_api import mujoco
 
 
 class MjcfShapes:
-    """The geometries of a model from the file `path`; `undrawn` are meshes that cannot be drawn,
-    with the reason.
-    """
+    """The geometries of a model; `undrawn` has the reason for each mesh that cannot be drawn."""
 
     def __init__(self, model: Any, path: Path) -> None:
         self._model, self._path = model, path
@@ -28,15 +26,16 @@ class MjcfShapes:
     def of_body(
         self, body: int, shift: Frame, without: set[int]
     ) -> tuple[list[Geometry], list[Geometry], Vector3 | None]:
-        """Return collision shapes, but for geometries `without`, visual shapes and color of a body
-        at `shift` in its link's frame.
+        """Return collision shapes, visual shapes and color of a body at `shift` in its link's frame.
+
+        The geometries `without` get no collision shapes.
         """
         model = self._model
-        mine = [geom for geom in range(model.ngeom) if int(model.geom_bodyid[geom]) == body]
+        geoms = [geom for geom in range(model.ngeom) if int(model.geom_bodyid[geom]) == body]
         touching = [
-            geom for geom in mine if model.geom_contype[geom] or model.geom_conaffinity[geom]
+            geom for geom in geoms if model.geom_contype[geom] or model.geom_conaffinity[geom]
         ]
-        drawn = [geom for geom in mine if geom not in touching] or touching
+        drawn = [geom for geom in geoms if geom not in touching] or touching
         collision = [
             shape for geom in touching if geom not in without for shape in self.solids(geom, shift)
         ]
@@ -47,11 +46,9 @@ class MjcfShapes:
         return shift @ frame_of(self._model.geom_pos[geom], self._model.geom_quat[geom])
 
     def solids(self, geom: int, shift: Frame) -> list[Geometry]:
-        """Return the collision shapes of a geometry: convex pieces for a mesh, none for a plane or
-        height field.
-        """
+        """Return a geometry's collision shapes: convex pieces of a mesh, none of other surfaces."""
         model = self._model
-        kind = int(self._model.geom_type[geom])
+        kind = int(model.geom_type[geom])
         origin, rotation = self._place(geom, shift).numbers()
         color = _color(model, geom)
         kinds = mujoco.mjtGeom
@@ -69,24 +66,14 @@ class MjcfShapes:
         if kind == int(kinds.mjGEOM_ELLIPSOID):
             pieces = [few_corners(outline(Geometry("sphere", (1.0,))) * (a, b, c))]
         elif kind == int(kinds.mjGEOM_MESH):
-            pieces = self._pieces(int(model.geom_dataid[geom]))
+            mesh = model.mesh(int(model.geom_dataid[geom]))
+            corners = model.mesh_vert[mesh.vertadr[0] :][: mesh.vertnum[0]]
+            faces = model.mesh_face[mesh.faceadr[0] :][: mesh.facenum[0]]
+            pieces = kept_pieces(corners, faces, f"{self._path.name}: {mesh.name or mesh.id}")
         return [hull_shape(piece, origin, rotation, color) for piece in pieces]
 
-    def _pieces(self, mesh: int) -> list[Array]:
-        model = self._model
-        first = int(model.mesh_vertadr[mesh])
-        count = int(model.mesh_vertnum[mesh])
-        begin = int(model.mesh_faceadr[mesh])
-        faces = int(model.mesh_facenum[mesh])
-        name = f"{self._path.name}: {model.mesh(mesh).name or mesh}"
-        return kept_pieces(
-            model.mesh_vert[first : first + count], model.mesh_face[begin : begin + faces], name
-        )
-
     def looks(self, geom: int, shift: Frame) -> list[Geometry]:
-        """Return the visual shapes of a geometry: for a mesh its file if it can be drawn, else its
-        convex pieces.
-        """
+        """Return a geometry's visual shapes: a mesh's file if it can be drawn, else the pieces."""
         model = self._model
         if int(model.geom_type[geom]) != int(mujoco.mjtGeom.mjGEOM_MESH):
             return self.solids(geom, shift)
