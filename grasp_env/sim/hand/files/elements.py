@@ -20,24 +20,20 @@ NO_INERTIA: Inertia = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # of a link without one in
 
 @dataclass(frozen=True)
 class FileLink:
-    """A link of a file: mass 0 if the file has none; `color` is that of its first visual;
-    `HandFile.with_shapes` adds the shapes.
-    """
+    """A link of a file; `HandFile.with_shapes` adds the shapes."""
 
     name: str
-    mass: float = 0.0
+    mass: float = 0.0  # 0 if the file has none
     inertial_frame: Frame = IDENTITY
     inertia: Inertia = NO_INERTIA
     collision: tuple[Geometry, ...] = ()
     visual: tuple[Geometry, ...] = ()
-    color: Vector3 | None = None
+    color: Vector3 | None = None  # of its first visual shape
 
 
 @dataclass(frozen=True)
 class FileJoint:
-    """A joint of a file: `origin` and `rotation` place the child at angle 0; `effort` is None and
-    `rotor` [kg m^2] 0 without one.
-    """
+    """A joint of a file; `origin` and `rotation` place the child at angle 0."""
 
     name: str
     parent: str
@@ -51,7 +47,7 @@ class FileJoint:
     effort: float | None = None
     sliding: bool = False
     mimic: Mimic | None = None
-    rotor: float = 0.0
+    rotor: float = 0.0  # [kg m^2]
 
 
 class HandFile(Protocol):

@@ -1,6 +1,4 @@
-"""Find the mesh files of a hand, read them, keep what is made of them, and check that Bullet can
-draw them.
-"""
+"""Find and read the mesh files of a hand, and check that Bullet can draw them."""
 
 from __future__ import annotations
 
@@ -30,15 +28,15 @@ _MAX_VISUAL_BYTES = 20 * MEGABYTE  # largest visual mesh [bytes]
 _MAX_BLOCKS = 10_000
 _LONGEST_HEAD = 65_536  # head of a .dae in which its unit is looked for [bytes]
 _UNIT = re.compile(rb"""<(?:\w+:)?unit\s(?:[^<>]*\s)?meter\s*=\s*["']([^"'<>]*)["']""")
-MADE = "1"  # version of what is made; change it when that changes, so that older cache entries are not used
+# version of the cache's entries; change it when what is made of a mesh changes
+MADE = "1"
 
 
 def find_mesh(name: str, urdf: Path) -> Path | None:
-    """Find a mesh file under its name in a URDF: an absolute path, or relative to the URDF's folder
-    or one above it; None if missing.
+    """Find a mesh file under its name in a URDF; None if it is missing.
 
-    The package name in package:// and model:// may be missing in the path. Addresses such as
-    http:// are refused.
+    The name is an absolute path, or relative to the URDF's folder or one above it. The package name
+    in package:// and model:// may be missing in the path.
     """
     kind, separator, rest = name.partition("://")
     path = Path(unquote(rest) if separator else name)
@@ -54,29 +52,25 @@ def find_mesh(name: str, urdf: Path) -> Path | None:
             return path
         for folder in folders:
             for tail in tails:
-                if tail and (found := folder.joinpath(*tail)).is_file():
-                    return found
+                if tail and (file := folder.joinpath(*tail)).is_file():
+                    return file
     except (OSError, ValueError):  # the name is too long, or has a zero byte
         pass
     return None
 
 
 class Job(NamedTuple):
-    """Something to make of a mesh file's corners (V, 3), without duplicates, and faces (F, 3);
-    `mark` tells apart what is made of a file.
-    """
+    """Something to make of a mesh file's corners (V, 3), without duplicates, and faces (F, 3)."""
 
     path: Path
-    mark: bytes
+    mark: bytes  # tells apart what is made of a file
     make: Callable[[Array, Any], dict[str, Any]]
 
 
 def made_of_files(jobs: Sequence[Job], text: str) -> list[dict[str, Any] | InvalidInputError]:
     """Return what the jobs make or raise, from the cache where it is known.
 
-    One process reads all files of the others.
-
-    `text` describes the work on the progress line.
+    One process reads all other files. `text` describes the work on the progress line.
     """
     done = dict[int, dict[str, Any] | InvalidInputError]()
     left = dict[int, tuple[str, MeshFile]]()
@@ -94,7 +88,7 @@ def made_of_files(jobs: Sequence[Job], text: str) -> list[dict[str, Any] | Inval
     unread = list({file.name: file for _, file in left.values()}.values())
     meshes = {file.name: mesh for file, mesh in zip(unread, read_meshes(unread), strict=True)}
     for number, (key, file) in progress_bar(list(left.items()), text):
-        make = partial(_made, jobs[number], file.name, meshes[file.name])
+        make = partial(_make, jobs[number], file.name, meshes[file.name])
         try:
             done[number] = cached(key, jobs[number].path.name, make, use="hand")
         except InvalidInputError as error:
@@ -102,7 +96,7 @@ def made_of_files(jobs: Sequence[Job], text: str) -> list[dict[str, Any] | Inval
     return [done[number] for number in range(len(jobs))]
 
 
-def _made(job: Job, name: str, mesh: tuple[Array, Any] | InvalidInputError) -> dict[str, Any]:
+def _make(job: Job, name: str, mesh: tuple[Array, Any] | InvalidInputError) -> dict[str, Any]:
     if isinstance(mesh, InvalidInputError):
         raise mesh
     corners, faces = weld(*mesh, WELD * extent_of(mesh[0]))
@@ -114,8 +108,9 @@ def _made(job: Job, name: str, mesh: tuple[Array, Any] | InvalidInputError) -> d
 
 
 def read_looks(files: Iterable[str]) -> dict[str, tuple[Array, Any]]:
-    """Return corners (V, 3), in the file's units, without duplicates, and faces (F, 3) of the
-    meshes that a hand shows, by file.
+    """Return corners (V, 3), without duplicates, and faces (F, 3) of meshes, by file.
+
+    The corners are in the file's units.
 
     Raises:
         InvalidInputError: A file is not a mesh.
@@ -126,16 +121,15 @@ def read_looks(files: Iterable[str]) -> dict[str, tuple[Array, Any]]:
         for name in names
     ]
     looks = dict[str, tuple[Array, Any]]()
-    for name, made in zip(names, made_of_files(jobs, "meshes to look at"), strict=True):
-        if isinstance(made, InvalidInputError):
-            raise made
-        looks[name] = made["corners"], made["faces"]
+    for name, mesh in zip(names, made_of_files(jobs, "meshes to look at"), strict=True):
+        if isinstance(mesh, InvalidInputError):
+            raise mesh
+        looks[name] = mesh["corners"], mesh["faces"]
     return looks
 
 
 def unit_of(path: Path) -> float:
-    """Return the unit [m] of a .dae, as in <unit meter="0.001"/>; 1 without one and for other kinds
-    of files.
+    """Return the unit [m] of a .dae, as in <unit meter="0.001"/>; 1 for other files.
 
     ROS applies the unit; trimesh and Bullet do not. None of them applies <up_axis>.
     """
@@ -143,10 +137,10 @@ def unit_of(path: Path) -> float:
         return 1.0
     try:
         with path.open("rb") as file:
-            found = _UNIT.search(file.read(_LONGEST_HEAD))
+            match = _UNIT.search(file.read(_LONGEST_HEAD))
     except OSError:  # reading the whole file reports it
-        found = None
-    text = "1" if found is None else found[1].decode("latin1")
+        match = None
+    text = "1" if match is None else match[1].decode("latin1")
     with suppress(ValueError):
         if 0.0 < (unit := float(text)) < math.inf:
             return unit
@@ -156,9 +150,7 @@ def unit_of(path: Path) -> float:
 
 
 def why_not_drawn(path: Path, scale: Sequence[float]) -> str:
-    """Return the reason why Bullet cannot draw a mesh, "" if it can: it would crash if faces name
-    missing corners.
-    """
+    """Return the reason why Bullet cannot draw a mesh, or ""; missing corners would crash it."""
     if path.suffix.lower() not in DRAWN:
         return f"are not one of {', '.join(DRAWN)}"
     try:
@@ -184,12 +176,10 @@ def _why_broken(blob: bytes) -> Any:
 
 
 def _corners_exist(blob: bytes) -> bool:
-    """Return True if the faces of an .obj only name corners, textures and normals that stand before
-    them.
-    """
+    """Return True if an .obj's faces only name corners, textures and normals before them."""
     text = b"\n" + unix_lines(blob)  # to search for a newline is several times as fast as for `^`
     faces, *others = (
-        np.fromiter(_places(text, key), np.int64) for key in (b"f", b"v", b"vt", b"vn")
+        np.fromiter(_offsets(text, key), np.int64) for key in (b"f", b"v", b"vt", b"vn")
     )
     known = np.stack([np.searchsorted(other, faces) for other in others], axis=1)
     # blocks of faces behind the same number of corners; most files have one block
@@ -208,6 +198,6 @@ def _corners_exist(blob: bytes) -> bool:
     return True
 
 
-def _places(text: bytes, key: bytes) -> Iterator[int]:
+def _offsets(text: bytes, key: bytes) -> Iterator[int]:
     """Yield the offsets of the lines that begin with a word."""
-    return (found.start() for found in re.finditer(rb"\n[ \t]*%s[ \t]" % key, text))
+    return (match.start() for match in re.finditer(rb"\n[ \t]*%s[ \t]" % key, text))

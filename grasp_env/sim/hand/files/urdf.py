@@ -1,7 +1,4 @@
-"""Read a URDF file.
-
-Each element is checked where it is read, and all faults are reported together.
-"""
+"""Read a URDF file; all faults are reported together."""
 
 from __future__ import annotations
 
@@ -28,9 +25,15 @@ from grasp_env.sim.hand.tree import Geometry, Mimic
 MAX_ELEMENTS = 500  # links, and joints, in a file
 MAX_SHAPES = 2000  # collision and visual shapes together
 
-_TURNING = ("revolute", "continuous")
-_SLIDING = "prismatic"
-_FIXED = "fixed"
+# attributes of a shape, with the number of their values
+_SIZES = {
+    "sphere": {"radius": 1},
+    "capsule": {"radius": 1, "length": 1},
+    "cylinder": {"radius": 1, "length": 1},
+    "box": {"size": 3},
+}
+
+_SLIDING, _FIXED = "prismatic", "fixed"
 
 
 class UrdfReader:
@@ -84,11 +87,10 @@ class UrdfReader:
         }
         self.undrawn: dict[str, str] = {}
 
-    def elements(self, wanted: Collection[str]) -> tuple[dict[str, FileLink], list[FileJoint]]:
-        """Return the wanted links by name, and the joints between them in file order; an error
-        lists all faults of these.
+    def elements(self, names: Collection[str]) -> tuple[dict[str, FileLink], list[FileJoint]]:
+        """Return some links by name, and the joints between them in file order.
 
-        Mesh files are looked for here, and read by `with_shapes`.
+        An error lists all their faults. Mesh files are looked for here, and read by `with_shapes`.
         """
         self._palette = {
             material.get("name", ""): color
@@ -99,24 +101,18 @@ class UrdfReader:
             links = [
                 check(self._link, element)
                 for element in self._links
-                if element.get("name", "") in wanted
+                if element.get("name", "") in names
             ]
             joints = [
                 check(_joint, element)
                 for element, (_, parent, child) in zip(self._joints, self.ends, strict=True)
-                if not {parent, child} - {"", *wanted}
+                if not {parent, child} - {"", *names}
             ]
-            for what, names in (
-                ("links", self.names),
-                ("joints", [joint for joint, *_ in self.ends]),
-            ):
-                doubled = [name for name, count in Counter(names).items() if count > 1]
-                check.add(
-                    *(
-                        f"two {what} are called {shown(name)}; give each its own name"
-                        for name in doubled
-                    )
-                )
+            joint_names = [joint for joint, *_ in self.ends]
+            for kind, all_names in (("links", self.names), ("joints", joint_names)):
+                for name, count in Counter(all_names).items():
+                    if count > 1:
+                        check.add(f"two {kind} are called {shown(name)}; give each its own name")
             check(self._check_meshes)
         return {link.name: link for link in links}, joints
 
@@ -127,16 +123,16 @@ class UrdfReader:
             (shape, self._color_of_visual(shape, f"{where}, <visual>"))
             for shape in element.findall("visual")
         ]
-        color = next((own for _, own in looks if own), None)
+        link_color = next((color for _, color in looks if color), None)
         with AllFaults() as check:
             inertial = check(_inertial, element.find("inertial"), where)
             collision = [check(self._placed, shape, name) for shape in element.findall("collision")]
             visual = [
-                check(self._placed, shape, name, None if own == color else own)
-                for shape, own in looks
+                check(self._placed, shape, name, None if color == link_color else color)
+                for shape, color in looks
             ]
         self._shapes[name] = list(filter(None, collision)), list(filter(None, visual))
-        return FileLink(name, *inertial, color=color)
+        return FileLink(name, *inertial, color=link_color)
 
     def _color_of_visual(self, element: Element, where: str) -> Vector3 | None:
         material = element.find("material")
@@ -145,21 +141,18 @@ class UrdfReader:
         return _color(material, where) or self._palette.get(material.get("name", ""))
 
     def _check_meshes(self) -> None:
-        """Raise InvalidInputError if collision meshes are missing."""
         if self._missing:
-            each = [
+            meshes = [
                 f"{shown(name)} ({', '.join(dict.fromkeys(links))})"
                 for name, links in self._missing.items()
             ]
             raise InvalidInputError(
-                f"these meshes (of links) are neither beside the URDF nor in the {PARENTS} folders above it: {listed(each, 40)}. "
+                f"these meshes (of links) are neither beside the URDF nor in the {PARENTS} folders above it: {listed(meshes, 40)}. "
                 "Download the whole package and keep its folder structure"
             )
 
     def with_shapes(self, links: dict[str, FileLink]) -> dict[str, FileLink]:
-        """Return the links with their shapes: convex pieces of collision meshes, and visual meshes
-        that can be drawn.
-        """
+        """Return the links with their shapes: convex pieces of collision meshes, visual meshes."""
         solids = solids_of({name: self._shapes[name][0] for name in links}, self.path.name)
         shaped = dict[str, FileLink]()
         for name, link in links.items():
@@ -175,9 +168,7 @@ class UrdfReader:
     def _placed(
         self, element: Element, link: str, color: Vector3 | None = None
     ) -> Geometry | MeshUse | None:
-        """Return the shape of a <collision> or <visual>; None for a mesh whose file is missing,
-        which is recorded.
-        """
+        """Return the shape of a <collision> or <visual>; None for a missing mesh, recorded."""
         where = f"link {link!r}, <{element.tag}>"
         shape = _shape(element, where)
         if shape.tag != "mesh":
@@ -218,7 +209,7 @@ def _name(element: Element, where: str) -> str:
 
 
 def _end(element: Element, role: str) -> str:
-    """Return the link that a joint names as its parent or child, "" if it names none."""
+    """Return the link that a joint names as its "parent" or "child", or ""."""
     end = element.find(role)
     return "" if end is None else end.get("link", "")
 
@@ -270,11 +261,10 @@ def _inertial(inertial: Element | None, where: str) -> tuple[float, Frame, Inert
     if mass == 0.0:
         return 0.0, frame, NO_INERTIA
     element = inertial.find("inertia")
-    required = ("ixx", "iyy", "izz")
-    inside = f"{where}, <inertial>, <inertia>"
-    names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    defaults = {"ixx": None, "ixy": "0", "ixz": "0", "iyy": None, "iyz": "0", "izz": None}
     xx, xy, xz, yy, yz, zz = (
-        _number(element, name, None if name in required else "0", inside) for name in names
+        _number(element, name, default, f"{where}, <inertial>, <inertia>")
+        for name, default in defaults.items()
     )
     return mass, frame, (xx, xy, xz, yy, yz, zz)
 
@@ -291,7 +281,6 @@ def _shape(element: Element, where: str) -> Element:
 
 
 def _mesh(shape: Element, where: str) -> tuple[str, Vector3]:
-    """Return file name and scale factors of a <mesh>."""
     name = shape.get("filename", "").strip()
     if not name:
         raise InvalidInputError(f"{where}, <mesh> lacks filename=")
@@ -302,21 +291,19 @@ def _mesh(shape: Element, where: str) -> tuple[str, Vector3]:
 
 
 def _primitive(element: Element, shape: Element, where: str, color: Vector3 | None) -> Geometry:
-    if shape.tag == "box":
-        size = _row(shape, "size", 3, None, f"{where}, <box>")
-    elif shape.tag == "sphere":
-        size = _row(shape, "radius", 1, None, f"{where}, <sphere>")
-    elif shape.tag in ("capsule", "cylinder"):
-        size = tuple(
-            _number(shape, key, None, f"{where}, <{shape.tag}>") for key in ("radius", "length")
-        )
-    else:
+    if shape.tag not in _SIZES:
         raise InvalidInputError(
             f"{where}: the shape <{shape.tag[:40]}> is not one of sphere, capsule, box, cylinder and mesh"
         )
+    inside = f"{where}, <{shape.tag}>"
+    size = [
+        value
+        for key, count in _SIZES[shape.tag].items()
+        for value in _row(shape, key, count, None, inside)
+    ]
     try:
         origin, rotation = _origin(element, where)
-        return Geometry(shape.tag, size, origin, rotation, color)
+        return Geometry(shape.tag, tuple(size), origin, rotation, color)
     except InvalidInputError as error:
         raise InvalidInputError(f"{where}: {error}") from None
 
@@ -325,7 +312,7 @@ def _joint(element: Element) -> FileJoint:
     name = _name(element, "<joint>")
     where = f"joint {name!r}"
     kind = element.get("type")
-    if kind not in (*_TURNING, _SLIDING, _FIXED):
+    if kind not in ("revolute", "continuous", _SLIDING, _FIXED):
         raise InvalidInputError(
             f"{where} is of type {shown(kind)}; a hand's joints are revolute, continuous, prismatic or fixed. Make it one of these"
         )
@@ -372,22 +359,17 @@ def _limits(limit: Element | None, kind: str, where: str) -> tuple[float, float]
 
 
 def _effort(limit: Element | None, where: str) -> float | None:
-    return (
-        None
-        if limit is None or "effort" not in limit.attrib
-        else _number(limit, "effort", None, where)
-    )
+    if limit is None or "effort" not in limit.attrib:
+        return None
+    return _number(limit, "effort", None, where)
 
 
 def _mimic(mimic: Element | None, where: str) -> Mimic | None:
     if mimic is None:
         return None
     inside = f"{where}, <mimic>"
-    other = mimic.get("joint", "")
-    if not other.strip():
+    driver = mimic.get("joint", "")
+    if not driver.strip():
         raise InvalidInputError(f"{inside} lacks joint=")
-    ratio, offset = (
-        _number(mimic, key, default, inside)
-        for key, default in (("multiplier", "1"), ("offset", "0"))
-    )
-    return Mimic(other, ratio, offset)
+    ratio = _number(mimic, "multiplier", "1", inside)
+    return Mimic(driver, ratio, _number(mimic, "offset", "0", inside))

@@ -26,8 +26,7 @@ _ELEMENT = re.compile(r"\{[^}]*xacro/?\}")
 def robot_of(
     path: Path, first: Element, expand: bool | None, arguments: Mapping[str, str]
 ) -> Element:
-    """Return the robot of a file whose first element is `first`; that of a xacro file is expanded
-    with the given arguments.
+    """Return the robot of a file with the element `first`; xacro expands it with `arguments`.
 
     `expand` says whether it is a xacro file; None: its name ends in .xacro.
     """
@@ -45,19 +44,17 @@ def robot_of(
 
 
 def _expanded(file: Path, arguments: Mapping[str, str]) -> Element:
-    """Return the robot of a xacro file, expanded in a process that sees no environment variables;
-    see `expansion`.
-    """
+    """Return the robot of a xacro file, expanded in a process without environment variables."""
     need("xacro")
     shares = [
         *_folders("ROS_PACKAGE_PATH"),
-        *(str(Path(each, "share")) for each in _folders("AMENT_PREFIX_PATH")),
+        *(str(Path(folder, "share")) for folder in _folders("AMENT_PREFIX_PATH")),
     ]
     request = json.dumps({"file": str(file), "arguments": dict(arguments), "shares": shares})
     task = "grasp_env.sim.hand.files.expansion:expand"
     where = f"xacro cannot expand {file}"
     try:
-        made = apart(
+        result = apart(
             task,
             f"expanding {file.name}",
             _SECONDS,
@@ -67,9 +64,9 @@ def _expanded(file: Path, arguments: Mapping[str, str]) -> Element:
         )
     except (TimeoutError, ChildProcessError) as error:
         raise InvalidInputError(f"{where}: {str(error).splitlines()[-1]}") from None
-    if "error" in made:
-        raise InvalidInputError(f"{where}: {made['error']}")
-    robot = read_xml(made["text"].tobytes())
+    if "error" in result:
+        raise InvalidInputError(f"{where}: {result['error']}")
+    robot = read_xml(result["text"].tobytes())
     if robot.find("link") is None:
         raise InvalidInputError(
             f"{file} only defines macros, it has no <link>; give the file that calls them"
@@ -78,5 +75,4 @@ def _expanded(file: Path, arguments: Mapping[str, str]) -> Element:
 
 
 def _folders(variable: str) -> list[str]:
-    """Return the folders that an environment variable lists."""
     return [folder for folder in os.environ.get(variable, "").split(os.pathsep) if folder]
