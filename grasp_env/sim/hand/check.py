@@ -1,4 +1,4 @@
-"""Checks of the numbers and names that describe a hand."""
+"""Checks of the numbers and names that describe a hand; each raises an `InvalidInputError`."""
 
 from __future__ import annotations
 
@@ -18,26 +18,24 @@ Vector3: TypeAlias = tuple[float, float, float]
 
 
 def numbers(values: Any, count: int | None, name: str) -> tuple[float, ...]:
-    """Return `count` numbers (None: any) up to 1e9 as a tuple, so that every description can be
-    hashed, or raise an `InvalidInputError`.
-    """
+    """Return `count` numbers (None: any) up to 1e9 as a tuple, which can be hashed."""
     return tuple(as_array(values, (count,), name, Range(-LARGEST, LARGEST)).tolist())
 
 
 def positive(value: Any, name: str) -> float:
-    """Return a number above 0 and up to 1e9, or raise an `InvalidInputError`."""
+    """Return a number above 0 and up to 1e9."""
     return arguments.positive(value, name, Range(1e-300, LARGEST))
 
 
 def word(value: Any, name: str) -> str:
-    """Return a name that is not empty, or raise an `InvalidInputError`."""
+    """Return a name that is not empty."""
     if not isinstance(value, str) or not value.strip():
         raise InvalidInputError(f"{name}={shown(value)} must be a name of at least one letter")
     return str(value)
 
 
 def parts(values: Any, kind: type[T], name: str) -> tuple[T, ...]:
-    """Return a list of objects of a class as a tuple, or raise an `InvalidInputError`."""
+    """Return a list of objects of a class as a tuple."""
     if not isinstance(values, list | tuple):
         raise InvalidInputError(f"{name}={shown(values)} must be a list of {kind.__name__}s")
     for value in values:
@@ -49,7 +47,7 @@ def parts(values: Any, kind: type[T], name: str) -> tuple[T, ...]:
 
 
 def unit(values: Any, name: str) -> Vector3:
-    """Return a vector of length 1, or raise an `InvalidInputError`."""
+    """Return a vector of length 1."""
     x, y, z = numbers(values, 3, name)
     length = math.sqrt(x * x + y * y + z * z)
     if abs(length - 1.0) > 1e-9:
@@ -72,7 +70,7 @@ def limits(lower: Any, upper: Any, name: str) -> tuple[float, float]:
 
 
 def hull_corners(values: Any, name: str) -> tuple[Vector3, ...]:
-    """Return corners (K, 3) that span a volume, or raise an `InvalidInputError`."""
+    """Return corners (K, 3) that span a volume."""
     rows = as_array(values, (None, 3), f"{name}: corners")
     spread = np.linalg.svd(rows - rows.mean(axis=0), compute_uv=False)
     if len(rows) < 4 or not spread[2] > 1e-9 or np.abs(rows).max() > LARGEST:

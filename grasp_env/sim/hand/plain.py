@@ -26,8 +26,7 @@ _LISTS: dict[str, type[Any]] = {
     "visual": Geometry,
 }
 _SINGLE: dict[str, type[Any]] = {"palm": Palm, "mimic": Mimic}
-_UNLIMITED = {"lower": -math.inf, "upper": math.inf}
-"""Limits of a joint without limits, which JSON writes as null."""
+_UNLIMITED = {"lower": -math.inf, "upper": math.inf}  # null in JSON
 
 
 def hand_to_plain(hand: HandDescription) -> dict[str, Any]:
@@ -40,13 +39,14 @@ def hand_to_plain(hand: HandDescription) -> dict[str, Any]:
         >>> hand_of(hand_to_plain(moved), "hand") == moved
         True
     """
-    found = _names().get(hand)
-    return _plain(hand) if found is None else {"name": found}
+    name = _names().get(hand)
+    return _plain(hand) if name is None else {"name": name}
 
 
 def hand_of(value: Any, name: str) -> HandDescription:
-    """Return the hand in a dict of its fields, or of the name of a built-in hand alone; fields with
-    a default may be left out.
+    """Return the hand in a dict of its fields, or of a built-in hand's name alone.
+
+    Fields with a default may be left out.
 
     Args:
         value: dict, as from `hand_to_plain`.
@@ -61,7 +61,7 @@ def hand_of(value: Any, name: str) -> HandDescription:
         return HANDS[
             choice(value["name"], name, HANDS, ", or give all fields of a HandDescription")
         ]()
-    return _made(HandDescription, value, name)
+    return _build(HandDescription, value, name)
 
 
 @cache
@@ -73,11 +73,11 @@ def _plain(value: Any) -> Any:
     if is_dataclass(value):
         return {item.name: _plain(getattr(value, item.name)) for item in fields(value)}
     if isinstance(value, tuple):
-        return [_plain(each) for each in value]
+        return [_plain(item) for item in value]
     return None if value in _UNLIMITED.values() else value
 
 
-def _made(kind: type[Any], value: Any, name: str) -> Any:
+def _build(kind: type[Any], value: Any, name: str) -> Any:
     if not isinstance(value, dict):
         raise InvalidInputError(
             f"{name} must be a dict of the fields of a {kind.__name__}, got {shown(value)}"
@@ -85,23 +85,25 @@ def _made(kind: type[Any], value: Any, name: str) -> Any:
     known = {item.name: item.default is MISSING for item in fields(kind)}
     for key in value:
         if key not in known:
-            raise UnknownSettingError(f"{name}.{key}", [f"{name}.{each}" for each in known])
-    if missing := [f"{name}.{key}" for key, needed in known.items() if needed and key not in value]:
+            raise UnknownSettingError(f"{name}.{key}", [f"{name}.{field}" for field in known])
+    required = [key for key, is_required in known.items() if is_required]
+    if missing := [f"{name}.{key}" for key in required if key not in value]:
         raise InvalidInputError(
             f"{', '.join(missing)} must be given: the dict of a {kind.__name__} needs them"
         )
-    return kind(**{key: _part(key, each, f"{name}.{key}") for key, each in value.items()})
+    return kind(**{key: _field(key, item, f"{name}.{key}") for key, item in value.items()})
 
 
-def _part(key: str, value: Any, name: str) -> Any:
+def _field(key: str, value: Any, name: str) -> Any:
     if key in _UNLIMITED and value is None:
         return _UNLIMITED[key]
     if key in _SINGLE and value is not None:
-        return _made(_SINGLE[key], value, name)
+        return _build(_SINGLE[key], value, name)
     if key == "file" and not isinstance(value, str):
         raise InvalidInputError(f"{name} must be the path of a mesh, got {shown(value)}")
     if key not in _LISTS:
         return value
     if not isinstance(value, list | tuple):
         raise InvalidInputError(f"{name} must be a list of dicts, got {shown(value)}")
-    return tuple(_made(_LISTS[key], part, f"{name}[{place}]") for place, part in enumerate(value))
+    kind = _LISTS[key]
+    return tuple(_build(kind, item, f"{name}[{index}]") for index, item in enumerate(value))

@@ -1,5 +1,4 @@
-"""Expand a xacro file in a process of its own: xacro, with our evaluator of expressions and a guard
-of the files that it opens.
+"""Expand a xacro file in a process of its own, with guarded expressions and files.
 
 Two barriers stand one behind the other. `_guard` replaces the functions of xacro that evaluate,
 open, list and find. `_Watch` stops any other action that leaves the interpreter, such as opening a
@@ -32,7 +31,9 @@ from grasp_env.sim.hand.files.expressions import RefusedError, evaluate
 from grasp_env.sim.hand.files.meshes import PARENTS
 from grasp_env.sim.xml_files import read_xml
 
-_PYTHON = (
+# Python's names that expressions may use; xacro also offers `vars` and `type`, which give access to
+# everything else
+_PYTHON = [
     "list",
     "dict",
     "map",
@@ -67,12 +68,8 @@ _PYTHON = (
     "sum",
     "tuple",
     "zip",
-)
-"""Python's names that expressions may use.
-
-xacro also offers `vars` and `type`, which give access to everything else.
-"""
-_XACRO = (
+]
+_XACRO = [
     "load_yaml",
     "abs_filename",
     "dotify",
@@ -83,22 +80,17 @@ _XACRO = (
     "print_location",
     "fatal",
     "tokenize",
-)
+]
 # events of the interpreter that xacro needs; `compile` only parses
-_HARMLESS = (
-    "builtins.id",
-    "compile",
-)
+_HARMLESS = ("builtins.id", "compile")
 _WILD = re.compile(r"[*\[?]")
 
 
 def expand(request: Any) -> dict[str, Any]:
     """Return the "text" of an expanded file, its bytes as uint8, or the "error".
 
-    `apart` runs this function.
-
-    The request is JSON: "file", an absolute path; "arguments", texts by name; "shares", folders in
-    which ROS keeps packages.
+    `apart` runs this function. The request is JSON: "file", an absolute path; "arguments", texts by
+    name; "shares", folders in which ROS keeps packages.
     """
     os.environ.clear()  # $(optenv) reads it
     job = json.loads(str(request))
@@ -108,7 +100,7 @@ def expand(request: Any) -> dict[str, Any]:
         text = _expanded(job["file"], arguments, files)
         arguments.check()
     except Exception as error:  # xacro does not catch errors of expressions
-        return {"error": np.array(_told(error))}
+        return {"error": np.array(_message(error))}
     return {"text": np.frombuffer(text, np.uint8)}
 
 
@@ -129,44 +121,38 @@ def _expanded(file: str, arguments: _Arguments, files: _Files) -> bytes:
 
 
 def _guard(xacro: Any, substitution_args: Any, arguments: _Arguments, files: _Files) -> None:
-    """Replace the functions of xacro that evaluate, open, list and find, and remove what its
-    expressions should not call.
-    """
+    """Replace the functions of xacro that evaluate, open, list and find, and remove others."""
     symbols = getattr(xacro, "_global_symbols", {})
-    needed = (
+    required = (
         (dir(xacro), ("safe_eval", "parse", "glob", "load_yaml")),
         (dir(substitution_args), ("_eval", "_eval_env", "_eval_find")),
         (symbols, ("math", "python", "xacro")),
     )
-    if lacking := [name for there, names in needed for name in names if name not in there]:
+    if missing := [name for table, names in required for name in names if name not in table]:
         raise RefusedError(
-            f"{xacro.__file__} is a version without {lacking[0]}, which is not guarded: pip install xacro==2.1.1"
+            f"{xacro.__file__} is a version without {missing[0]}, which is not guarded: pip install xacro==2.1.1"
         )
     python = symbols["python"]
-    namespace = symbols["xacro"]
-    everything = {*_PYTHON, *_XACRO, *vars(math), "math", "python", "xacro"}
-    for table, allowed in ((symbols, everything), (python, _PYTHON), (namespace, _XACRO)):
-        for name in [name for name in table if name not in allowed]:
+    everything = [*_PYTHON, *_XACRO, *vars(math), "math", "python", "xacro"]
+    for table, allowed in ((symbols, everything), (python, _PYTHON), (symbols["xacro"], _XACRO)):
+        for name in set(table).difference(allowed):
             dict.pop(table, name)
 
-    def evaluated(text: str, names: Any, _: Any = None) -> Any:
-        return evaluate(text, names)
+    def convert(value: str) -> Any:
+        return substitution_args.convert_value(value, "auto")
 
     def extension(text: str, context: Any) -> str:
         """Return the value of $(eval ...), which has variables and functions of its own."""
-        values = {
-            name: substitution_args.convert_value(value, "auto")
-            for name, value in arguments.items()
-        }
-        own = {
-            "arg": lambda name: substitution_args.convert_value(arguments[name], "auto"),
+        values = {name: convert(value) for name, value in arguments.items()}
+        functions = {
+            "arg": lambda name: convert(arguments[name]),
             "find": files.find,
             "env": variable,
             "optenv": substitution_args._eval_optenv,
             "true": True,
             "false": False,
         }
-        return str(evaluate(text, {**python, **symbols["math"], **values, **own}))
+        return str(evaluate(text, {**python, **symbols["math"], **values, **functions}))
 
     def variable(name: str) -> str:
         raise RefusedError(f"it reads the environment variable {name!r}, which is not allowed")
@@ -184,8 +170,9 @@ def _guard(xacro: Any, substitution_args: Any, arguments: _Arguments, files: _Fi
                 element.parentNode.removeChild(element)
         return document
 
-    xacro.safe_eval, xacro.parse = evaluated, parse
-    xacro.open, xacro.glob = files.open, SimpleNamespace(glob=files.glob)
+    xacro.safe_eval = lambda text, names, _=None: evaluate(text, names)
+    xacro.parse, xacro.open = parse, files.open
+    xacro.glob = SimpleNamespace(glob=files.glob)
     substitution_args._eval = extension
     substitution_args._eval_env = variable
     substitution_args._eval_find = files.find
@@ -213,9 +200,7 @@ class _Watch:
 
 
 class _Files:
-    """The files that a xacro file may read: those beside it, and those of the packages that $(find)
-    finds.
-    """
+    """The files that a xacro file may read: those beside it, and those of ROS packages."""
 
     def __init__(self, file: Path, shares: Sequence[str]) -> None:
         self.watch = _Watch()
@@ -236,10 +221,8 @@ class _Files:
         if name not in self._packages and re.fullmatch(r"\w[\w.-]*", name):
             with self.watch.set(False):
                 for share in map(Path, self._shares):
-                    for manifest in (
-                        share / name / "package.xml",
-                        *share.glob(f"*/{name}/package.xml"),
-                    ):
+                    inner = share.glob(f"*/{name}/package.xml")
+                    for manifest in (share / name / "package.xml", *inner):
                         if _is_manifest(manifest):
                             self._add(name, manifest)
         if name not in self._packages:
@@ -271,8 +254,9 @@ class _Files:
         """Return a text file, or raise OSError."""
         with self.watch.set(False):
             blob = self._read(name)
+            where = f"the file {name}"
             return io.StringIO(
-                understood(blob, _as_utf8, InvalidInputError, f"the file {name}", "text in UTF-8")
+                understood(blob, _as_utf8, InvalidInputError, where, "text in UTF-8")
             )
 
     def glob(self, pattern: str) -> list[str]:
@@ -299,21 +283,16 @@ def _manifests(file: Path) -> Iterator[tuple[str, Path]]:
 
 
 def _is_manifest(path: Path) -> bool:
-    """Return True if a file exists and is, or is a link to, a package.xml; a link to another file
-    would open that.
-    """
+    """Return True if a file is, or links to, a package.xml; another link would open its target."""
     return path.is_file() and _real(path).name == "package.xml"
 
 
 def _is_inside(path: Path, root: Path) -> bool:
-    """Return True if a path is in a folder and not hidden; in the folder of everything, / itself,
-    its own files are.
-    """
-    if not path.is_relative_to(root) or any(
-        part.startswith(".") for part in path.relative_to(root).parts
-    ):
+    """Return True if a path is in a folder and not hidden; of / only its own files are inside."""
+    if not path.is_relative_to(root):
         return False
-    return root != root.parent or path.parent == root
+    hidden = any(name.startswith(".") for name in path.relative_to(root).parts)
+    return not hidden and (root != root.parent or path.parent == root)
 
 
 def _real(path: Path) -> Path:
@@ -326,7 +305,7 @@ class _Arguments(dict[str, str]):
 
     def __init__(self, given: dict[str, str]) -> None:
         super().__init__(given)
-        self._given = tuple(given)
+        self._given = tuple(given)  # xacro adds defaults
         self.requested = dict[str, None]()
 
     def __contains__(self, name: object) -> bool:
@@ -353,8 +332,8 @@ class _Arguments(dict[str, str]):
                 )
 
 
-def _told(error: BaseException) -> str:
-    """Return one sentence about the first cause of an error, with the expression in which it arose."""
+def _message(error: BaseException) -> str:
+    """Return one sentence about the first cause of an error, with its expression."""
     where = ""
     while isinstance(cause := getattr(error, "exc", None), BaseException):
         where = getattr(error, "suffix", None) or where

@@ -1,5 +1,4 @@
-"""Evaluate the expressions of xacro files: numbers, texts, lists, dicts, and the functions that
-xacro offers.
+"""Evaluate the expressions of xacro files.
 
 Python's own `eval` does not run. `ast` parses the expression, and each node that is allowed has an
 entry below. There is none for lambdas, assignments and f-strings. Attributes exist for plain data
@@ -20,8 +19,8 @@ _HIDDEN = ("format", "format_map")  # their text may name attributes
 _MEMBERS = {
     kind: {name for name in dir(kind) if name[0] != "_"}.difference(_HIDDEN) for kind in _PLAIN
 }
+# names of attributes that lead into the interpreter
 _INNER = re.compile(r"__|gi_|cr_|ag_|tb_|f_(back|builtins|code|globals|lasti|lineno|locals|trace)")
-"""Names of attributes that lead into the interpreter."""
 _MOST_BITS = 100_000  # of a power or a shift of whole numbers, which can take forever
 
 _UNARY: dict[type[ast.AST], Callable[[Any], Any]] = {
@@ -79,9 +78,7 @@ def evaluate(text: str, symbols: Mapping[str, Any]) -> Any:
 
 
 class _Evaluation:
-    """The evaluation of one expression: a method for each kind of node that is more than an
-    operator.
-    """
+    """The evaluation of one expression: a method for each node that is more than an operator."""
 
     def __init__(self, text: str, symbols: Mapping[str, Any]) -> None:
         self._text = text
@@ -101,10 +98,10 @@ class _Evaluation:
         return RefusedError(f"the expression {self._text[:100]!r} {what}, which is not allowed")
 
     def _value(self, node: ast.AST) -> Any:
-        read = _NODES.get(type(node))
-        if read is None:
+        evaluate_node = _NODES.get(type(node))
+        if evaluate_node is None:
             raise self._refused(f"has the Python syntax {type(node).__name__}")
-        return read(self, node)
+        return evaluate_node(self, node)
 
     def _items(self, nodes: Iterable[ast.AST]) -> Iterator[Any]:
         """Yield the values of nodes, those of *nodes one by one."""
@@ -158,8 +155,8 @@ class _Evaluation:
 
     def _both(self, node: ast.BoolOp) -> Any:
         value = None
-        for part in node.values:
-            value = self._value(part)
+        for operand in node.values:
+            value = self._value(operand)
             if bool(value) is isinstance(node.op, ast.Or):
                 break
         return value
@@ -167,34 +164,27 @@ class _Evaluation:
     def _compare(self, node: ast.Compare) -> Any:
         value = True
         left = self._value(node.left)
-        for compared, part in zip(node.ops, node.comparators, strict=True):
-            right = self._value(part)
-            value = _BINARY[type(compared)](left, right)
+        for comparison, operand in zip(node.ops, node.comparators, strict=True):
+            right = self._value(operand)
+            value = _BINARY[type(comparison)](left, right)
             if not value:
                 break
             left = right
         return value
 
     def _slice(self, node: ast.Slice) -> slice:
-        return slice(
-            *(
-                None if part is None else self._value(part)
-                for part in (node.lower, node.upper, node.step)
-            )
-        )
+        bounds = (node.lower, node.upper, node.step)
+        return slice(*(None if bound is None else self._value(bound) for bound in bounds))
 
     def _dict(self, node: ast.Dict) -> dict[Any, Any]:
-        made = dict[Any, Any]()
-        for key, part in zip(node.keys, node.values, strict=True):
-            value = self._value(part)
-            made.update(value if key is None else {self._value(key): value})
-        return made
+        values = dict[Any, Any]()
+        for key, value_node in zip(node.keys, node.values, strict=True):
+            value = self._value(value_node)
+            values.update(value if key is None else {self._value(key): value})
+        return values
 
     def _listed(self, node: ast.ListComp | ast.SetComp | ast.GeneratorExp) -> list[Any]:
-        """Return all values of a comprehension.
-
-        A generator is a list, too: nothing here is endless.
-        """
+        """Return all values of a comprehension; a generator is a list, too: nothing is endless."""
         return self._looped(node.generators, lambda: self._value(node.elt))
 
     def _dict_listed(self, node: ast.DictComp) -> dict[Any, Any]:
@@ -204,9 +194,9 @@ class _Evaluation:
 
     def _looped(self, loops: list[ast.comprehension], value: Callable[[], Any]) -> list[Any]:
         self._loops.append({})
-        made = list(self._loop(loops, value))
+        values = list(self._loop(loops, value))
         self._loops.pop()
-        return made
+        return values
 
     def _loop(self, loops: list[ast.comprehension], value: Callable[[], Any]) -> Iterator[Any]:
         if not loops:
@@ -224,8 +214,8 @@ class _Evaluation:
         if isinstance(target, ast.Name):
             self._loops[-1][target.id] = item
         elif isinstance(target, ast.Tuple | ast.List):
-            for part, value in zip(target.elts, item, strict=True):
-                self._bind(part, value)
+            for inner, value in zip(target.elts, item, strict=True):
+                self._bind(inner, value)
         else:
             raise self._refused("assigns in a loop to something that is no name")
 
@@ -251,4 +241,3 @@ _NODES: dict[type[ast.AST], Callable[[_Evaluation, Any], Any]] = {
     ast.SetComp: lambda run, node: set(run._listed(node)),
     ast.DictComp: _Evaluation._dict_listed,
 }
-"""The function that evaluates each kind of node."""
