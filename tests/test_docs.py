@@ -84,7 +84,7 @@ def thing(name: str) -> Any:
 
 
 @pytest.fixture
-def site() -> Path:
+def site():
     """Return the folder of the site as `make docs` has just built it."""
     folder = ROOT / "build/docs/html"
     assert folder.is_dir(), "the site is not built: run make docs, which also runs these tests"
@@ -92,7 +92,7 @@ def site() -> Path:
 
 
 @pytest.mark.site
-def test_every_public_name_has_an_entry(site: Path) -> None:
+def test_every_public_name_has_an_entry(site):
     listed = InventoryFile.loads((site / "objects.inv").read_bytes(), uri="").data
     entries = {name for kind, names in listed.items() if kind.startswith("py:") for name in names}
     assert set(PUBLIC) <= entries, sorted(set(PUBLIC) - entries)
@@ -126,7 +126,7 @@ def words(text: str) -> set[str]:
 
 
 @pytest.mark.parametrize("name", PUBLIC)
-def test_it_is_documented(name: str) -> None:
+def test_it_is_documented(name):
     value = thing(name)
     if not (inspect.isclass(value) or inspect.isroutine(value)):
         return  # a constant, see below
@@ -162,7 +162,7 @@ CONSTANTS = [
 
 
 @pytest.mark.site
-def test_every_constant_is_explained(site: Path) -> None:
+def test_every_constant_is_explained(site):
     text = {page: page.read_text(encoding="utf-8") for page in (site / "api").glob("*.html")}
     for name in CONSTANTS:
         if inspect.ismodule(thing(name)):
@@ -185,7 +185,7 @@ def has_example(name: str) -> bool:
     return any(">>>" in text for text in texts)
 
 
-def test_every_public_name_has_an_example_that_runs() -> None:
+def test_every_public_name_has_an_example_that_runs():
     for name in (*SHOWN_BY, *NO_EXAMPLE):
         assert name in PUBLIC, f"{name} needs no exception"
         assert not has_example(name), name
@@ -203,7 +203,7 @@ def test_every_public_name_has_an_example_that_runs() -> None:
 
 @pytest.mark.site
 @pytest.mark.skipif(find_browser() is None, reason="there is no Chromium")
-def test_it_fits_every_window_draws_formulas_finds_and_asks_for_nothing(site: Path) -> None:
+def test_it_fits_every_window_draws_formulas_finds_and_asks_for_nothing(site):
     with browser(find_browser() or "") as tab:
         for page, (width, scheme) in product(PAGES, ((390, "light"), (1280, "dark"))):
             tab.show(site / page, width, 800, prefers_color_scheme=scheme)

@@ -35,13 +35,13 @@ each = pytest.mark.parametrize(
 whatever = pytest.mark.parametrize("path", ALL, ids=lambda path: path.stem)
 
 
-def test_they_read_in_order() -> None:
+def test_they_read_in_order():
     numbers = [int(path.name[:2]) for path in EXAMPLES]
     assert numbers == list(range(1, len(numbers) + 1))
 
 
 @whatever
-def test_an_example_is_short_and_says_what_it_shows(path: Path) -> None:
+def test_an_example_is_short_and_says_what_it_shows(path):
     source = path.read_text(encoding="utf-8")
     assert len(source) <= MOST_CHARACTERS[path in EXAMPLES]
     assert max(map(len, source.splitlines())) <= 120
@@ -56,7 +56,7 @@ def test_an_example_is_short_and_says_what_it_shows(path: Path) -> None:
 
 
 @whatever
-def test_an_example_uses_what_everybody_may(path: Path) -> None:
+def test_an_example_uses_what_everybody_may(path):
     nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
     own = {node.name for node in nodes if isinstance(node, ast.FunctionDef)}
     names = {node.attr for node in nodes if isinstance(node, ast.Attribute)} - own
@@ -72,7 +72,7 @@ def test_an_example_uses_what_everybody_may(path: Path) -> None:
 
 
 @each
-def test_an_example_runs(path: Path, tmp_path: Path) -> None:
+def test_an_example_runs(path, tmp_path):
     """In another folder, without a display; a warning is an error."""
     plain = {
         name: value for name, value in os.environ.items() if name not in ("LD_PRELOAD", "DISPLAY")

@@ -64,7 +64,7 @@ NOT_IN_ALL = {"cvxpy", "mend", "ray", "video"}
 HEAVY = tuple(name for extra in ("sim", "train", "report", "video") for name in EXTRAS[extra])
 
 
-def test_the_table_is_what_pip_installs() -> None:
+def test_the_table_is_what_pip_installs():
     solver = _names(PROJECT["dependencies"])
     assert solver == {"numpy", "scipy", "safetensors"}
     homes = packages_distributions()
@@ -92,7 +92,7 @@ def test_the_table_is_what_pip_installs() -> None:
     "page",
     ["README.md", *sorted(str(page.relative_to(ROOT)) for page in (ROOT / "docs").rglob("*.md"))],
 )
-def test_pages_install_extras_that_exist_and_torch_for_the_cpu_first(page: str) -> None:
+def test_pages_install_extras_that_exist_and_torch_for_the_cpu_first(page):
     text = (ROOT / page).read_text(encoding="utf-8")
     for command in re.finditer(r"pip install [^`\n]*\[(.*?)\]", text):
         brought = set().union(*(_brought(name) for name in command[1].split(",")))
@@ -110,7 +110,7 @@ IMPORTS = {
 }
 
 
-def test_imports_name_their_extra() -> None:
+def test_imports_name_their_extra():
     """In one process, because a failed import must leave nothing behind."""
     script = f"""
 for statement, extra in {IMPORTS}.items():
@@ -128,7 +128,7 @@ for statement, extra in {IMPORTS}.items():
     assert (done.returncode, done.stdout) == (0, ""), done.stderr
 
 
-def test_mp4_needs_video(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_mp4_needs_video(monkeypatch, tmp_path):
     from training.program.film import record
 
     for name in EXTRAS["video"]:
@@ -150,7 +150,7 @@ COMMANDS = {
 }
 
 
-def test_commands_name_their_extras_in_one_line(tmp_path: Path) -> None:
+def test_commands_name_their_extras_in_one_line(tmp_path):
     script = f"""
 import contextlib, io, os
 sys.path.insert(0, {str(ROOT)!r})
@@ -170,7 +170,7 @@ for words, extras in {COMMANDS}.items():
     assert not list(tmp_path.iterdir())
 
 
-def test_the_program_itself_names_its_extra() -> None:
+def test_the_program_itself_names_its_extra():
     done = _without(
         EXTRAS["cli"],
         "from training.program.cli import main; sys.exit(main(['solve', '--wrench', *'100000']))",
@@ -179,7 +179,7 @@ def test_the_program_itself_names_its_extra() -> None:
     assert done.stderr == 'grasp: this needs rich, tyro: pip install "grasp-force[cli]"\n'
 
 
-def test_only_what_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_what_is_missing_is_named(monkeypatch):
     need(*({*EXTRAS} - NOT_IN_ALL))
     monkeypatch.setitem(sys.modules, "trimesh", None)
     with pytest.raises(MissingExtraError) as told:
@@ -188,7 +188,7 @@ def test_only_what_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     assert isinstance(told.value, ImportError)
 
 
-def test_where_pybullet_has_no_wheel_mujoco_comes_instead_and_is_recommended() -> None:
+def test_where_pybullet_has_no_wheel_mujoco_comes_instead_and_is_recommended():
     engines = [one for one in OPTIONAL["sim"] if re.match("pybullet|mujoco", one)]
     assert [re.sub(r">=[\d.]+", "", one) for one in engines] == [
         "pybullet; python_version < '3.12'",

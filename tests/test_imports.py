@@ -28,13 +28,13 @@ ABOVE = {
 
 
 @pytest.mark.parametrize("package", ABOVE)
-def test_packages_never_import_upwards(package: str) -> None:
+def test_packages_never_import_upwards(package):
     guilty = {str(path.relative_to(ROOT)): _roots(path) & ABOVE[package] for path in files(package)}
     assert {path: roots for path, roots in guilty.items() if roots} == {}
 
 
 @pytest.mark.parametrize("package", ["core", "grasp", "force", "quality"])
-def test_the_solver_imports_numpy_and_scipy_only(package: str) -> None:
+def test_the_solver_imports_numpy_and_scipy_only(package):
     for path in files("grasp_env", package):
         assert _roots(path) <= SOLVER | set(sys.stdlib_module_names), path
 
@@ -78,7 +78,7 @@ ROOMS: dict[str, dict[str, set[str]]] = {
 
 
 @pytest.mark.parametrize("package", ROOMS)
-def test_rooms_look_one_way(package: str) -> None:
+def test_rooms_look_one_way(package):
     rooms = ROOMS[package]
     order = list(rooms)
     for room, below in rooms.items():
@@ -97,7 +97,7 @@ def test_rooms_look_one_way(package: str) -> None:
 
 
 @pytest.mark.parametrize("package", ["grasp_env", "policies", "training", "benchmarks"])
-def test_no_modules_import_each_other_in_a_circle(package: str) -> None:
+def test_no_modules_import_each_other_in_a_circle(package):
     left = module_arrows(package)
     while free := [name for name, targets in left.items() if not targets & set(left)]:
         for name in free:
@@ -105,7 +105,7 @@ def test_no_modules_import_each_other_in_a_circle(package: str) -> None:
     assert left == {}
 
 
-def test_pybullet_is_imported_in_one_file() -> None:
+def test_pybullet_is_imported_in_one_file():
     users = {
         str(path.relative_to(ROOT))
         for part in ("grasp_env", "policies", "training", "benchmarks")
@@ -131,7 +131,7 @@ def _run(script: str) -> None:
     "imports",
     ["grasp_env, gymnasium", "gymnasium, grasp_env", "gymnasium.envs.registration, grasp_env"],
 )
-def test_the_environment_is_registered_whatever_is_imported_first(imports: str) -> None:
+def test_the_environment_is_registered_whatever_is_imported_first(imports):
     _run(f"""
 import sys, {imports}, gymnasium
 assert gymnasium.spec("FourFingerGrasp-v0").entry_point == "grasp_env.env:FourFingerGrasp"
@@ -139,7 +139,7 @@ assert not [finder for finder in sys.meta_path if type(finder).__module__ == "gr
 """)
 
 
-def test_hard_contacts_and_learned_starts_need_numpy_only() -> None:
+def test_hard_contacts_and_learned_starts_need_numpy_only():
     """A control loop waits for nothing else before its first force: other packages cannot be
     imported here."""
     _run("""
@@ -167,7 +167,7 @@ assert "training" not in sys.modules
 """)
 
 
-def test_an_episode_starts_without_torch_and_other_heavy_packages() -> None:
+def test_an_episode_starts_without_torch_and_other_heavy_packages():
     _run("""
 import sys
 import gymnasium
@@ -179,5 +179,5 @@ assert not {name.split(".")[0] for name in sys.modules} & {"scipy", "torch", "tr
 """)
 
 
-def test_the_picture_of_the_rooms_is_that_of_the_code() -> None:
+def test_the_picture_of_the_rooms_is_that_of_the_code():
     assert PICTURE.read_text(encoding="utf-8") == picture(), "run python -m docs.rooms"

@@ -49,7 +49,7 @@ EXTRAS: dict[str, list[str]] = {
 
 
 @pytest.fixture(scope="session")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def wheel(tmp_path_factory):
     folder = tmp_path_factory.mktemp("wheel")
     subprocess.run(
         [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "-w", folder, ROOT],
@@ -65,7 +65,7 @@ def megabytes(folder: Path) -> float:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("extra", EXTRAS)
-def test_an_extra_brings_what_it_promises(extra: str, wheel: Path, tmp_path: Path) -> None:
+def test_an_extra_brings_what_it_promises(extra, wheel, tmp_path):
     venv = tmp_path / "venv"
     extras = extra.split(",") if extra else []
     home = {"PATH": f"{venv / 'bin'}:{os.environ['PATH']}", "HOME": str(tmp_path)}

@@ -47,7 +47,7 @@ RANGED: dict[str, tuple[Range, Callable[[float], Any]]] = {
 
 
 @pytest.mark.parametrize("name", RANGED)
-def test_a_range_holds_its_ends_and_is_told_beyond(name: str) -> None:
+def test_a_range_holds_its_ends_and_is_told_beyond(name):
     within, call = RANGED[name]
     # a length is a root of a sum: its last digit is rounded
     inner = 1e-12 if name == "positions" else 0.0
@@ -77,7 +77,7 @@ CORNERS = {
 
 @pytest.mark.parametrize("limited", [False, True])
 @pytest.mark.parametrize("method", CORNERS)
-def test_optimal_is_balanced_everywhere_within_the_ranges(method: str, limited: bool) -> None:
+def test_optimal_is_balanced_everywhere_within_the_ranges(method, limited):
     """At random corners of the ranges no answer is called optimal that misses the wrench, or leaves
     a cone or a limit, by plain numpy."""
     rng = np.random.default_rng([3, *method.encode(), limited])

@@ -51,7 +51,7 @@ def hidden_names(folder: Path) -> list[str]:
     return sorted(name for name in os.listdir(folder) if name.startswith("."))
 
 
-def test_readers_find_whole_files_while_threads_and_processes_write(tmp_path: Path) -> None:
+def test_readers_find_whole_files_while_threads_and_processes_write(tmp_path):
     path = tmp_path / "shared.txt"
     found = set[str]()
     failed = list[BaseException]()
@@ -87,9 +87,7 @@ def test_readers_find_whole_files_while_threads_and_processes_write(tmp_path: Pa
 
 
 @pytest.mark.parametrize("suffix", [".json", ".npz", ".mp4"])
-def test_what_a_killed_process_left_is_removed_after_a_day_and_nothing_else(
-    tmp_path: Path, suffix: str
-) -> None:
+def test_what_a_killed_process_left_is_removed_after_a_day_and_nothing_else(tmp_path, suffix):
     path = tmp_path / f"a{suffix}"
     with start(
         [sys.executable, "-c", SLEEPER, str(path)], stdout=subprocess.PIPE, text=True
@@ -113,7 +111,7 @@ def test_what_a_killed_process_left_is_removed_after_a_day_and_nothing_else(
     assert sorted(tmp_path.iterdir()) == sorted([path, tmp_path / "b.json", *others])
 
 
-def test_a_folder_is_replaced_as_a_whole(tmp_path: Path) -> None:
+def test_a_folder_is_replaced_as_a_whole(tmp_path):
     for text in ("old", "new"):
         with replacing(tmp_path / "step-2") as hidden:
             hidden.mkdir()
@@ -123,7 +121,7 @@ def test_a_folder_is_replaced_as_a_whole(tmp_path: Path) -> None:
     assert hidden_names(tmp_path) == []
 
 
-def test_a_block_that_fails_leaves_the_old_file(tmp_path: Path) -> None:
+def test_a_block_that_fails_leaves_the_old_file(tmp_path):
     path = tmp_path / "a.json"
     folder = tmp_path / "folder"
     write(path, "old")
@@ -140,9 +138,7 @@ def test_a_block_that_fails_leaves_the_old_file(tmp_path: Path) -> None:
     assert hidden_names(tmp_path) == []
 
 
-def test_content_is_on_the_disk_before_it_has_its_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_content_is_on_the_disk_before_it_has_its_name(tmp_path, monkeypatch):
     path = tmp_path / "a.json"
     done = list[tuple[str, str]]()
     sync, replace = os.fsync, os.replace
@@ -174,7 +170,7 @@ def test_content_is_on_the_disk_before_it_has_its_name(
     assert os.listdir(tmp_path) == ["a.json"]
 
 
-def test_long_names_keep_their_suffix(tmp_path: Path) -> None:
+def test_long_names_keep_their_suffix(tmp_path):
     for name in ("n" * 250 + ".npz", "\u00fc" * 120 + ".npz"):
         write(tmp_path / name, "whole")
         assert (tmp_path / name).read_text() == "whole"
@@ -184,7 +180,7 @@ def test_long_names_keep_their_suffix(tmp_path: Path) -> None:
         write(tmp_path / ("n" * 256), "whole")
 
 
-def test_links_stay_and_pipes_are_written_to(tmp_path: Path) -> None:
+def test_links_stay_and_pipes_are_written_to(tmp_path):
     """A device, such as /dev/stdout, must not become a file: root could do that."""
     (tmp_path / "deep").mkdir()
     link = tmp_path / "link.json"
@@ -215,7 +211,7 @@ sys.exit(main(sys.argv[1:]))
 """
 
 
-def test_a_write_that_the_system_cuts_leaves_the_old_file(tmp_path: Path) -> None:
+def test_a_write_that_the_system_cuts_leaves_the_old_file(tmp_path):
     path = tmp_path / "my.json"
     path.write_text("old")
     words = [sys.executable, "-c", LIMITED, "solve", "--save-grasp", str(path)]
@@ -230,7 +226,7 @@ def test_a_write_that_the_system_cuts_leaves_the_old_file(tmp_path: Path) -> Non
 
 
 @pytest.fixture
-def full(monkeypatch: pytest.MonkeyPatch) -> None:
+def full(monkeypatch):
     """A disk that is full when files are written by `Path`; the error of a write has no file name."""
 
     for name, write in (("write_bytes", Path.write_bytes), ("write_text", Path.write_text)):
@@ -256,12 +252,12 @@ def full(monkeypatch: pytest.MonkeyPatch) -> None:
     ],
 )
 def test_commands_say_that_the_disk_is_full_and_how_to_mend_it(
-    words: str,
-    name: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    words,
+    name,
+    tmp_path,
+    monkeypatch,
+    capsys,
+):
     monkeypatch.chdir(tmp_path)
     assert main(words.split()) == 2
     (line,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("grasp: ")]
@@ -273,7 +269,7 @@ def test_commands_say_that_the_disk_is_full_and_how_to_mend_it(
 
 
 @pytest.mark.parametrize("words", ["solve", "solve --json", "--help", "solve --wrench 1 2 --json"])
-def test_a_full_disk_below_the_output_is_no_fault_of_the_program(words: str) -> None:
+def test_a_full_disk_below_the_output_is_no_fault_of_the_program(words):
     with open("/dev/full", "w") as full:
         done = subprocess.run(
             [sys.executable, "-m", "training", *words.split()],

@@ -96,7 +96,7 @@ def play(python: str, phases: list[dict[str, Any]], **parameters: Any) -> dict[s
 @pytest.mark.skipif(
     PYTHON is None, reason="GRASP_ROS_PYTHON must name a Python with rclpy: see docs/hardware.md"
 )
-def test_the_node_commands_what_its_controller_does() -> None:
+def test_the_node_commands_what_its_controller_does():
     """Messages in any order of joints; lost and late contacts, a message that does not fit; a life
     cycle with an end."""
     lost = POINTS.copy()

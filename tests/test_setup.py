@@ -40,7 +40,7 @@ def size(*extras: str) -> str:
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     if not shutil.which("make"):
         pytest.skip("there is no make")
     for name in ("pyproject.toml", "constraints.txt"):
@@ -68,9 +68,7 @@ def folder(tmp_path: Path) -> Path:
         (EVERYTHING, ["slow"], f"{EVERYTHING} ray"),
     ],
 )
-def test_what_is_installed_is_completed(
-    folder: Path, installed: str | None, words: list[str], expected: str | None
-) -> None:
+def test_what_is_installed_is_completed(folder, installed, words, expected):
     if installed is not None:
         (folder / ".venv/.installed").write_text(f"{installed}\n")
     plan = asked(folder, *words).stdout
@@ -82,7 +80,7 @@ def test_what_is_installed_is_completed(
         assert f"takes {size(*expected.split())} on disk" in plan
 
 
-def test_extras_that_do_not_exist_are_named(folder: Path) -> None:
+def test_extras_that_do_not_exist_are_named(folder):
     done = asked(folder, "install", "EXTRAS=sim,viedo")
     assert done.returncode == 2
     assert (
@@ -90,7 +88,7 @@ def test_extras_that_do_not_exist_are_named(folder: Path) -> None:
     )
 
 
-def test_the_sizes_are_those_of_the_pages() -> None:
+def test_the_sizes_are_those_of_the_pages():
     assert {*SIZES} == {"bare", *EXTRAS, "all", "bench", "docs", "dev"}
     readme, page = (
         (ROOT / name).read_text(encoding="utf-8") for name in ("README.md", "docs/start_here.md")

@@ -34,7 +34,7 @@ ADDRESS = re.compile("0x[0-9a-f]{6}")
 WRENCH = [1.0, 0.5, -0.6, -0.1, 0.2, 0.0]
 
 
-def test_public_classes_have_a_repr() -> None:
+def test_public_classes_have_a_repr():
     values = [
         getattr(room, name) for room in map(importlib.import_module, ROOMS) for name in room.__all__
     ]
@@ -45,7 +45,7 @@ def test_public_classes_have_a_repr() -> None:
         )
 
 
-def test_no_object_is_shown_by_its_address() -> None:
+def test_no_object_is_shown_by_its_address():
     grasp = presets.paper_cuboid()
     model = LearnedInitialForce.pretrained()
     config = EnvConfig().resolved()
@@ -82,7 +82,7 @@ class Unwilling:
         raise KeyError("no repr")
 
 
-def test_texts_of_anything_are_short_and_made_at_once() -> None:
+def test_texts_of_anything_are_short_and_made_at_once():
     """Each of these would take seconds, or fail, if it were written whole."""
     begin = time.perf_counter()
     big = dict.fromkeys(range(1_000_000))
@@ -112,7 +112,7 @@ def test_texts_of_anything_are_short_and_made_at_once() -> None:
 
 
 @needs_bullet
-def test_simulated_things_are_not_shown_by_their_address() -> None:
+def test_simulated_things_are_not_shown_by_their_address():
     scene = Scene()
     env = FourFingerGrasp()
     client = Client()

@@ -11,7 +11,6 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 
@@ -35,7 +34,7 @@ tests/malformed/test_checks.py tests/test_ranges.py tests/policies/test_checkpoi
 
 
 @pytest.fixture(scope="module")
-def wheel_for(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+def wheel_for(tmp_path_factory):
     """Return a function that builds the wheel for an interpreter once, with the numpy that pip
     takes for builds."""
 
@@ -64,9 +63,7 @@ def wheel_for(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("minors", "packages"), CASES.values(), ids=CASES)
-def test_the_solver_passes_its_tests(
-    minors: Sequence[int], packages: list[str], wheel_for: Callable[[str], Path], tmp_path: Path
-) -> None:
+def test_the_solver_passes_its_tests(minors, packages, wheel_for, tmp_path):
     """They are copies, beside which there is no package: they import the installed one."""
     base = cpython(*minors)
     python = tmp_path / "venv/bin/python"

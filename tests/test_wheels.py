@@ -57,14 +57,12 @@ def _levels(folder: Path) -> list[str]:
 
 
 @pytest.fixture
-def unpacked(wheel: Path, tmp_path: Path) -> Path:
+def unpacked(wheel, tmp_path):
     zipfile.ZipFile(wheel).extractall(tmp_path / "unpacked")
     return tmp_path / "unpacked"
 
 
-def test_solves_in_an_empty_environment_without_a_compiler(
-    wheel: Path, unpacked: Path, tmp_path: Path
-) -> None:
+def test_solves_in_an_empty_environment_without_a_compiler(wheel, unpacked, tmp_path):
     python = tmp_path / "empty/bin/python"
     subprocess.run(
         [_python_of(wheel), "-m", "venv", str(tmp_path / "empty")], check=True, timeout=120
@@ -89,7 +87,7 @@ def test_solves_in_an_empty_environment_without_a_compiler(
     assert solved({})[0] == levels[-1]
 
 
-def test_needs_nothing_of_this_machine_but_its_glibc(wheel: Path, unpacked: Path) -> None:
+def test_needs_nothing_of_this_machine_but_its_glibc(wheel, unpacked):
     files = sorted(unpacked.rglob("*.so"))
     assert len(files) == (4 if platform.machine() == "x86_64" else 1)
     major, minor = map(int, re.findall(r"manylinux_(\d+)_(\d+)_", wheel.name)[0])
@@ -101,7 +99,7 @@ def test_needs_nothing_of_this_machine_but_its_glibc(wheel: Path, unpacked: Path
         assert not needed or max(needed) <= (major, minor), file
 
 
-def test_named_problems_have_their_outcomes_at_every_level(wheel: Path, unpacked: Path) -> None:
+def test_named_problems_have_their_outcomes_at_every_level(wheel, unpacked):
     if _python_of(wheel) != sys.executable:
         pytest.skip("of another Python than this one")
     for level in _levels(unpacked):

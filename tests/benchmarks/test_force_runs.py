@@ -50,7 +50,7 @@ int echo(void *context, const force_problem *p, const double *start, double *for
 
 
 @pytest.fixture(scope="module")
-def echo(tmp_path_factory) -> Path:
+def echo(tmp_path_factory):
     if not shutil.which("gcc"):
         pytest.skip("there is no gcc")
     folder = tmp_path_factory.mktemp("echo")

@@ -3,7 +3,6 @@ compilation of the programs in C++."""
 
 import fcntl
 import os
-from pathlib import Path
 
 import pytest
 from building import build, compiled
@@ -12,7 +11,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read once, when numpy is l
 
 
 @pytest.fixture(scope="session")
-def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def programs(tmp_path_factory):
     """Folder of all programs in C++, compiled once for all processes of the tests."""
     if os.environ.get("GRASP_CORE_BUILD", "").endswith("sanitize"):
         pytest.skip("the programs are compiled without the sanitizers; `make slow` runs them with")

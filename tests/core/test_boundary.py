@@ -150,7 +150,7 @@ SPOILED: dict[str, Callable[[np.ndarray], object]] = {
 
 
 @pytest.mark.parametrize("name", CALLS)
-def test_arrays_are_as_the_core_reads_them_or_refused(name: str) -> None:
+def test_arrays_are_as_the_core_reads_them_or_refused(name):
     call = CALLS[name]
     good = CALLS[name].arguments()
     outcome = call.run(**good)
@@ -184,7 +184,7 @@ BAD = (np.nan, np.inf, -np.inf, 1e300, -1e300)
 
 
 @pytest.mark.parametrize("name", ["solve_many", "newton_grasps", "conic_grasps"])
-def test_a_row_that_is_refused_leaves_the_others(name: str) -> None:
+def test_a_row_that_is_refused_leaves_the_others(name):
     call = CALLS[name]
     key = "rows" if name == "solve_many" else "records"
     expected = call.arguments()
@@ -231,13 +231,13 @@ WRONG: dict[str, tuple[Callable[[], object], str]] = {
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_wrong_contacts_and_models_are_refused(name: str) -> None:
+def test_wrong_contacts_and_models_are_refused(name):
     call, message = WRONG[name]
     with pytest.raises((ValueError, TypeError), match=message):
         call()
 
 
-def test_a_model_covers_wrenches_up_to_those_of_its_training() -> None:
+def test_a_model_covers_wrenches_up_to_those_of_its_training():
     learned = model()
     for load in 10.0 * LOADS:
         assert learned.covers(load) == (np.linalg.norm(load) <= 20.0)

@@ -29,7 +29,7 @@ def _python(script: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_build_info() -> None:
+def test_build_info():
     info = core.build_info()
     assert info["version"] == _core_test.version == grasp_env.__version__
     assert info["compiler"].startswith(("GNU ", "Clang ", "AppleClang "))
@@ -41,7 +41,7 @@ def test_build_info() -> None:
     assert not {"-ffast-math", "-Ofast", "-ffinite-math-only"} & set(FLAGS)
 
 
-def test_the_right_build_is_loaded() -> None:
+def test_the_right_build_is_loaded():
     other = os.environ.get("GRASP_CORE_BUILD")
     homes = (
         [ROOT / other, ROOT / other] if other else [ROOT / "grasp_env/core", ROOT / "tests/core"]
@@ -57,7 +57,7 @@ def test_the_right_build_is_loaded() -> None:
         ("successor(1)", "successor(2**31 - 1)", "runtime error: signed integer overflow"),
     ],
 )
-def test_the_sanitizers_watch(right: str, wrong: str, verdict: str) -> None:
+def test_the_sanitizers_watch(right, wrong, verdict):
     assert hasattr(_core_test, right.partition("(")[0]) == SANITIZED
     if SANITIZED:
         module = f"import sys; sys.path.insert(0, {str(Path(str(_core_test.__file__)).parent)!r}); import _core_test"
@@ -75,9 +75,7 @@ LEVELS = ("x86-64-v2", "x86-64-v3", "x86-64-v4")
     ("level", "asked", "taken"),
     [(2, "", 0), (4, "", 2), (5, "", 2), (4, "x86-64-v2", 0), (2, "x86-64-v3", 1)],
 )
-def test_a_wheel_takes_the_best_build_or_the_named_one(
-    level: int, asked: str, taken: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_wheel_takes_the_best_build_or_the_named_one(level, asked, taken, tmp_path, monkeypatch):
     for name in LEVELS:
         (tmp_path / name).mkdir()
     monkeypatch.setattr(_builds, "processor_level", lambda here: level)
@@ -86,9 +84,7 @@ def test_a_wheel_takes_the_best_build_or_the_named_one(
     assert _builds.folders(tmp_path / LEVELS[0]) == []  # an install with one build
 
 
-def test_a_wheel_refuses_an_old_processor_and_an_unknown_level(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_wheel_refuses_an_old_processor_and_an_unknown_level(tmp_path, monkeypatch):
     (tmp_path / "x86-64-v2").mkdir()
     monkeypatch.delenv(_builds.VARIABLE, raising=False)
     monkeypatch.setattr(_builds, "processor_level", lambda here: 1)
@@ -100,7 +96,7 @@ def test_a_wheel_refuses_an_old_processor_and_an_unknown_level(
 
 
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="levels of x86-64")
-def test_the_level_is_what_the_compiler_finds(tmp_path: Path) -> None:
+def test_the_level_is_what_the_compiler_finds(tmp_path):
     """processor.cpp agrees with GCC's own answer and with the instruction set of this build."""
     source = ROOT / "grasp_env/core/bindings/wheel/processor.cpp"
     own = tmp_path / "own.cpp"
@@ -127,7 +123,7 @@ def test_the_level_is_what_the_compiler_finds(tmp_path: Path) -> None:
         assert level == ctypes.CDLL(str(tmp_path / "own.so")).own()
 
 
-def test_stub_has_every_public_name() -> None:
+def test_stub_has_every_public_name():
     stub = ast.parse((ROOT / "grasp_env/core/_core.pyi").read_text(encoding="utf-8"))
     described = {
         node.name for node in stub.body if isinstance(node, (ast.FunctionDef, ast.ClassDef))
@@ -139,7 +135,7 @@ def test_stub_has_every_public_name() -> None:
     assert set(core.__all__) <= public
 
 
-def test_the_core_imports_no_optional_package() -> None:
+def test_the_core_imports_no_optional_package():
     done = _python("import sys, grasp_env.core; print(*sys.modules)")
     assert done.returncode == 0, done.stderr
     loaded = {name.split(".")[0] for name in done.stdout.split()}
@@ -154,7 +150,7 @@ def test_the_core_imports_no_optional_package() -> None:
     }
 
 
-def test_a_missing_module_names_the_command_to_run() -> None:
+def test_a_missing_module_names_the_command_to_run():
     done = _python("import sys; sys.modules['grasp_env.core._core'] = None; import grasp_env.core")
     assert done.returncode != 0
     last = done.stderr.strip().splitlines()[-1]
@@ -164,7 +160,7 @@ def test_a_missing_module_names_the_command_to_run() -> None:
     assert "run `make install` there" in last
 
 
-def test_a_build_for_another_numpy_says_how_to_build_for_all() -> None:
+def test_a_build_for_another_numpy_says_how_to_build_for_all():
     """A build with numpy 1 finds no such interface in numpy 2: here it is taken away."""
     hidden = "next(module for name, module in sys.modules.items() if name.endswith('._multiarray_umath'))._ARRAY_API"
     done = _python(f"import sys, numpy; del {hidden}; import grasp_env.core")
@@ -174,7 +170,7 @@ def test_a_build_for_another_numpy_says_how_to_build_for_all() -> None:
     assert "`pip install .` in a clone, without --no-build-isolation" in last
 
 
-def test_wheel_has_headers_and_data_and_no_development_files(tmp_path: Path) -> None:
+def test_wheel_has_headers_and_data_and_no_development_files(tmp_path):
     """Without the module, which CMake adds."""
     command = [
         sys.executable,

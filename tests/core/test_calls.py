@@ -43,7 +43,7 @@ def model(s: Sample, seed: int, size: float) -> tuple[list[int], np.ndarray, ins
 
 @pytest.mark.parametrize("size", [0.1, 3.0, 3e38])
 @pytest.mark.parametrize("count", [3, 4, 9])
-def test_a_learned_start_is_the_networks_force_or_a_better_one(count: int, size: float) -> None:
+def test_a_learned_start_is_the_networks_force_or_a_better_one(count, size):
     """For any weights it is balanced, inside and no worse than the method's own start, and Newton
     from it ends certified."""
     c = case(count, "hard")
@@ -97,7 +97,7 @@ def test_a_learned_start_is_the_networks_force_or_a_better_one(count: int, size:
     assert outside == {0.0, 1.0}
 
 
-def test_a_good_previous_solution_is_taken_before_a_prediction() -> None:
+def test_a_good_previous_solution_is_taken_before_a_prediction():
     """Close to the optimum nothing is left to do.
 
     Without a wrench the own start is the optimum, which counts as no replacement.
@@ -132,7 +132,7 @@ each_algorithm = pytest.mark.parametrize(("method", "kind"), ALGORITHMS)
 
 @each_algorithm
 @pytest.mark.parametrize("count", [3, 4, 5])
-def test_answers_do_not_depend_on_earlier_calls(count: int, method: str, kind: str) -> None:
+def test_answers_do_not_depend_on_earlier_calls(count, method, kind):
     """Bit by bit, whatever the last call left in unused lanes; copies are independent, and so are
     the problems of a batch."""
     c = case(count, kind)
@@ -158,7 +158,7 @@ def test_answers_do_not_depend_on_earlier_calls(count: int, method: str, kind: s
 
 
 @each_algorithm
-def test_bad_wrenches_are_refused_and_tiny_ones_are_solved(method: str, kind: str) -> None:
+def test_bad_wrenches_are_refused_and_tiny_ones_are_solved(method, kind):
     c = case(4, kind)
     solver = c.solver(method, tolerance=1e-4)
     good, _ = solver.solve(np.ones(6) * 0.1)
@@ -176,7 +176,7 @@ def test_bad_wrenches_are_refused_and_tiny_ones_are_solved(method: str, kind: st
 
 
 @pytest.mark.parametrize("method", ["newton", "reduced flow", "full flow", "sum", "largest"])
-def test_a_row_without_a_force_does_not_look_like_an_optimum_of_zero(method: str) -> None:
+def test_a_row_without_a_force_does_not_look_like_an_optimum_of_zero(method):
     """Refused wrenches, proofs, and weights of 1e300, with which every objective overflows; alone
     and side by side."""
     s = sample(4)
@@ -198,7 +198,7 @@ def test_a_row_without_a_force_does_not_look_like_an_optimum_of_zero(method: str
 
 @pytest.mark.parametrize("method", ["newton", "reduced flow", "sum"])
 @pytest.mark.parametrize("count", [4, 9])
-def test_contacts_of_a_call(count: int, method: str) -> None:
+def test_contacts_of_a_call(count, method):
     s = sample(count)
     rng = np.random.default_rng(count)
     saved = 0.0
@@ -235,7 +235,7 @@ def test_contacts_of_a_call(count: int, method: str) -> None:
 @pytest.mark.parametrize("calls", [4_000, pytest.param(1_000_000, marks=pytest.mark.slow)])
 @each_algorithm
 @pytest.mark.parametrize("count", [4, 16])
-def test_nothing_is_allocated(count: int, method: str, kind: str, calls: int) -> None:
+def test_nothing_is_allocated(count, method, kind, calls):
     """Optima, proofs and least excesses, on contacts that stay or move."""
     assert (insides.known_allocations(0), insides.known_allocations(5)) == (0, 10)
     if method == "full flow" and count > 8:
@@ -267,9 +267,7 @@ def test_nothing_is_allocated(count: int, method: str, kind: str, calls: int) ->
 @pytest.mark.parametrize("limited", [False, True])
 @pytest.mark.parametrize("gamma", [0.0, 0.01])
 @pytest.mark.parametrize("method", ["newton", "sum", "largest"])
-def test_nothing_is_allocated_over_the_edge_of_supports(
-    method: str, gamma: float, limited: bool
-) -> None:
+def test_nothing_is_allocated_over_the_edge_of_supports(method, gamma, limited):
     """Weights above the line between two of three supports and next to it, where the boundary is
     found and left."""
     supports = np.array([[0.05, 0.0, 0.0], [-0.05, 0.05, 0.0], [-0.05, -0.05, 0.0]])

@@ -48,7 +48,7 @@ def least_over(c: Case, load: np.ndarray, cost: np.ndarray, *, inside: bool, ela
 
 
 @pytest.mark.parametrize(("count", "what", "free"), TIGHT)
-def test_infeasible_is_proven_or_exceeded_least(count: int, what: str, free: int) -> None:
+def test_infeasible_is_proven_or_exceeded_least(count, what, free):
     """A twist v proves infeasibility: v .
 
     w exceeds -v . G f for every force within the limits and pyramids around the cones.
@@ -117,7 +117,7 @@ def test_infeasible_is_proven_or_exceeded_least(count: int, what: str, free: int
 @pytest.mark.parametrize(
     ("count", "kind"), [(3, "hard"), (9, "hard"), (8, "frictionless"), (6, "thin")]
 )
-def test_iterations_of_the_least_sum_are_the_oracles(count: int, kind: str) -> None:
+def test_iterations_of_the_least_sum_are_the_oracles(count, kind):
     c = case(count, kind)
     s = c.contacts
     for load in wrenches(np.random.default_rng(count), 2, 3.0):
@@ -184,7 +184,7 @@ def certified(c: Case, load: np.ndarray, row: np.ndarray, tolerance: float, larg
 
 @pytest.mark.parametrize("kind", [*HARD, "thin"])
 @pytest.mark.parametrize("count", COUNTS)
-def test_the_least_sum_is_certified(count: int, kind: str) -> None:
+def test_the_least_sum_is_certified(count, kind):
     # three contacts nearly on a line have hardly any internal force
     c = case(count, "hard" if (count, kind) == (3, "thin") else kind)
     rng = np.random.default_rng(count)
@@ -198,9 +198,7 @@ def test_the_least_sum_is_certified(count: int, kind: str) -> None:
     "kind", ["some soft", "own limits", "shared limits", "soft limits", "hard"]
 )
 @pytest.mark.parametrize("count", [4, 9])
-def test_least_forces_are_certified_or_proven_not_to_exist(
-    count: int, kind: str, method: str
-) -> None:
+def test_least_forces_are_certified_or_proven_not_to_exist(count, kind, method):
     c = case(count, kind)
     found = 0
     for load in wrenches(np.random.default_rng(count), 4, of(kind)):

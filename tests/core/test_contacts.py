@@ -16,7 +16,7 @@ GOOD, REFUSED, RANK_LOST, NEEDS_TORSION = range(4)
 
 
 @pytest.mark.parametrize("close", [None, 1.0, 1e-3, 1e-6])
-def test_frames_are_the_written_rule(close: float | None) -> None:
+def test_frames_are_the_written_rule(close):
     """close: the distance of a given tangent from the normal."""
     rng = np.random.default_rng(1)
     for n in oracle.directions():
@@ -59,7 +59,7 @@ def check(s: Sample, tolerance: float) -> None:
 
 @pytest.mark.parametrize("kind", ["hard", "frictionless"])
 @pytest.mark.parametrize("count", [3, 4, 7, 8, 17, 50])
-def test_contacts_of_good_condition(count: int, kind: str) -> None:
+def test_contacts_of_good_condition(count, kind):
     s = sample(count, kind)
     check(s, 1e-12 / oracle.rank_ratio(s.rows) ** 2)
 
@@ -70,7 +70,7 @@ def nearly_on_a_line(count: int, thin: float) -> Sample:
 
 @pytest.mark.parametrize("count", [3, 4, 16])
 @pytest.mark.parametrize("thin", [1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7])
-def test_contacts_nearly_on_a_line(count: int, thin: float) -> None:
+def test_contacts_nearly_on_a_line(count, thin):
     """The core inverts by the normal equations, by two factors or by rotations."""
     s = nearly_on_a_line(count, thin)
     ratio = oracle.rank_ratio(s.unit @ oracle.grasp_matrix(s.positions, s.frames))
@@ -82,7 +82,7 @@ def first(s: Sample, keep: int) -> Sample:
     return Sample(s.positions[:keep], s.normals[:keep], s.scale[:keep], s.weights[:keep])
 
 
-def test_rank_lost() -> None:
+def test_rank_lost():
     five = random_contacts(np.random.default_rng(1), 5)
     lost = [nearly_on_a_line(count, thin) for count in (3, 9) for thin in (0.0, 1e-9)]
     # the last has rank 5
@@ -101,7 +101,7 @@ def test_rank_lost() -> None:
         (np.nan, REFUSED),
     ],
 )
-def test_normals_have_unit_length(off: float, verdict: int) -> None:
+def test_normals_have_unit_length(off, verdict):
     s = sample(4)
     placed = insides.place(s.positions, s.normals * (1.0 + off), s.scale, s.weights)
     assert placed.verdict == verdict
@@ -112,7 +112,7 @@ def test_normals_have_unit_length(off: float, verdict: int) -> None:
 
 
 @pytest.mark.parametrize("far", [0.0, 1e3])
-def test_neither_origin_nor_size_matters(far: float) -> None:
+def test_neither_origin_nor_size_matters(far):
     s = sample(5)
     for size in (1e-3, 1e3):
         moved = insides.place(size * s.positions + far * size, s.normals, s.scale, s.weights)
@@ -123,7 +123,7 @@ def test_neither_origin_nor_size_matters(far: float) -> None:
         )
 
 
-def test_cones_are_round_and_of_slope_one() -> None:
+def test_cones_are_round_and_of_slope_one():
     """(o / mu_o)^2 + (t / mu_t)^2 <= n^2 becomes |(o, t)| <= u, with u = sqrt(mu_o mu_t) n."""
     friction = np.array([[0.4, 0.4], [0.2, 0.9], [0.0, 0.5]])
     scale = np.empty((3, 3))
@@ -147,7 +147,7 @@ def soft(s: Sample, which: list[int]) -> tuple[insides.Placement, float]:
     return insides.place(s.positions, s.normals, s.scale, s.weights, torsion=gamma), ratio
 
 
-def test_torsion_makes_up_for_rank_that_forces_lack() -> None:
+def test_torsion_makes_up_for_rank_that_forces_lack():
     five = random_contacts(np.random.default_rng(8), 5)
     two = first(five, 2)
     smooth = with_frictionless(five, slice(None))
@@ -169,7 +169,7 @@ def test_torsion_makes_up_for_rank_that_forces_lack() -> None:
             np.testing.assert_allclose(placed.arrays["rows"], s.rows, rtol=0, atol=1e-12)
 
 
-def test_a_doubtful_rank_with_torsion_is_left_to_the_singular_values() -> None:
+def test_a_doubtful_rank_with_torsion_is_left_to_the_singular_values():
     """Two contacts on a line, whose normals lean away from it by an angle."""
     for lean in 10.0 ** np.arange(-12.0, 0.0, 0.25):
         normals = np.array([[1.0, 0.0, lean], [-1.0, 0.0, lean]]) / np.hypot(1.0, lean)

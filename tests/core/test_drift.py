@@ -90,7 +90,7 @@ def words(place: str) -> frozenset[str]:
 
 
 @pytest.mark.parametrize("place", PLACES)
-def test_every_public_name_is(place: str) -> None:
+def test_every_public_name_is(place):
     def known(name: str) -> bool:
         member = name.split(".")[1]
         return name in CPP_ALONE or bool(
@@ -101,7 +101,7 @@ def test_every_public_name_is(place: str) -> None:
     assert not missing, f"not {place}: bind and describe them, or add them to CPP_ALONE"
 
 
-def test_the_lists_hold_existing_names_only() -> None:
+def test_the_lists_hold_existing_names_only():
     assert set(IN_PYTHON) | CPP_ALONE <= set(names())
     assert {
         "ForceOptimizer.solve",

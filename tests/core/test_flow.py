@@ -80,9 +80,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("count", "kind", "form", "rule"), CASES)
-def test_every_form_and_rule_gives_the_iterates_of_the_plain_flow(
-    count: int, kind: str, form: str, rule: str
-) -> None:
+def test_every_form_and_rule_gives_the_iterates_of_the_plain_flow(count, kind, form, rule):
     """Growing and rejected steps; few enough that no decision depends on rounding."""
     s = sample(count, kind)
     many = 20 if rule == "adaptive" else 12
@@ -115,9 +113,7 @@ def test_every_form_and_rule_gives_the_iterates_of_the_plain_flow(
         *((4, "hard", rule, 1e-6) for rule in RULES),
     ],
 )
-def test_the_flow_finds_the_optimum_of_the_oracle(
-    count: int, kind: str, rule: str, tolerance: float
-) -> None:
+def test_the_flow_finds_the_optimum_of_the_oracle(count, kind, rule, tolerance):
     s = sample(count, kind)
     wrench, force, _ = starts(s)
     least = phi(s.minimum(wrench)[0], s.weights)
@@ -129,7 +125,7 @@ def test_the_flow_finds_the_optimum_of_the_oracle(
 
 
 @pytest.mark.parametrize("form", ["full", "paper", "reduced"])
-def test_a_known_optimum_ends_it_at_the_first_iterate_near_enough(form: str) -> None:
+def test_a_known_optimum_ends_it_at_the_first_iterate_near_enough(form):
     s = sample(5)
     wrench, force, _ = starts(s)
     least = phi(s.minimum(wrench)[0], s.weights)
@@ -139,7 +135,7 @@ def test_a_known_optimum_ends_it_at_the_first_iterate_near_enough(form: str) -> 
     assert trace[last] <= least * (1.0 + 1e-3) < trace[last - 1]
 
 
-def test_no_rule_hangs() -> None:
+def test_no_rule_hangs():
     """Extreme numbers, also those that `step_size.py` refuses: every search ends, and what
     converged is certified."""
     s = sample(4)
@@ -163,7 +159,7 @@ def test_no_rule_hangs() -> None:
 
 
 @pytest.mark.parametrize("rule", RULES.values(), ids=RULES)
-def test_it_stalls_where_floating_point_ends_and_gets_away_from_the_apex(rule: StepRule) -> None:
+def test_it_stalls_where_floating_point_ends_and_gets_away_from_the_apex(rule):
     s = sample(4)
     wrench, force, _ = starts(s)
     least = phi(s.minimum(wrench)[0], s.weights)
@@ -178,7 +174,7 @@ def test_it_stalls_where_floating_point_ends_and_gets_away_from_the_apex(rule: S
 
 
 @pytest.mark.parametrize("count", [4, 12])
-def test_contacts_that_hardly_span_the_wrenches(count: int) -> None:
+def test_contacts_that_hardly_span_the_wrenches(count):
     """A second Cholesky pass makes the rows orthonormal, so that iterates stay balanced: else Phi
     would fall below its least."""
     s = sample(count, "thin")

@@ -37,7 +37,7 @@ def _room(header: str) -> str:
     return header.split("/")[0]
 
 
-def test_folders_look_one_way() -> None:
+def test_folders_look_one_way():
     order = list(ROOMS)
     for room, below in ROOMS.items():
         assert [other for other in below if order.index(other) >= order.index(room)] == [], room
@@ -53,7 +53,7 @@ def test_folders_look_one_way() -> None:
     assert found == ROOMS, "an arrow that nothing needs any more"
 
 
-def test_no_headers_include_each_other_in_a_circle() -> None:
+def test_no_headers_include_each_other_in_a_circle():
     left = header_arrows()
     while free := [header for header, included in left.items() if not included & set(left)]:
         for header in free:
@@ -67,7 +67,7 @@ LONG = {"hand/controller.hpp"}
 """The controller and its sensors, until they are taken apart."""
 
 
-def test_no_file_is_long() -> None:
+def test_no_file_is_long():
     core = HEADERS.parents[1]
     lengths = {path: path.stat().st_size for path in core.rglob("*.[ch]pp")}
     long = {str(path) for path, length in lengths.items() if length > LONGEST}

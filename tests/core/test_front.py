@@ -3,7 +3,6 @@ where it solves."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,7 @@ CODES = core.codes()
 
 
 @pytest.fixture(scope="module")
-def said(programs: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+def said(programs, tmp_path_factory):
     """The lines that the program prints, by the words before the colon."""
     model = LearnedInitialForce.pretrained().export(
         tmp_path_factory.mktemp("front") / "four.model", presets.paper_cuboid()
@@ -72,7 +71,7 @@ CASES: dict[str, tuple[Grasp, list[float], dict[str, Any]]] = {
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_results_are_those_of_python(said: dict[str, str], name: str) -> None:
+def test_results_are_those_of_python(said, name):
     """The same solution from the same start, or an equally good one where Phi is flat."""
     grasp, wrench, options = CASES[name]
     python = optimize_force(grasp, wrench, **options)
@@ -95,7 +94,7 @@ def test_results_are_those_of_python(said: dict[str, str], name: str) -> None:
         ("no model", "internal_force", 1),
     ],
 )
-def test_where_calls_begin(said: dict[str, str], name: str, start: str, replaced: int) -> None:
+def test_where_calls_begin(said, name, start, replaced):
     found = numbers(said[name])
     expected = numbers(said["newton"])
     assert (found["start"], found["replaced"], found["code"]) == (start, replaced, expected["code"])
@@ -115,15 +114,13 @@ def test_where_calls_begin(said: dict[str, str], name: str, start: str, replaced
         ("three touch, one broken", "three touch"),
     ],
 )
-def test_what_a_call_is_given_holds_for_it_alone(
-    said: dict[str, str], one: str, other: str
-) -> None:
+def test_what_a_call_is_given_holds_for_it_alone(said, one, other):
     """To the last printed digit; and a copy is an independent solver."""
     assert said[one] == said[other]
     assert said["moved"] != said["limited"]
 
 
-def test_records_without_a_force_have_a_code_and_hold_zeros(said: dict[str, str]) -> None:
+def test_records_without_a_force_have_a_code_and_hold_zeros(said):
     """An exclamation mark would mean that a number is left."""
     refused, infeasible, rank_lost = (
         str(CODES[name]) for name in ("refused", "infeasible", "rank_lost")
@@ -170,11 +167,11 @@ def test_records_without_a_force_have_a_code_and_hold_zeros(said: dict[str, str]
         ("model for three", "the model is for another number of contacts"),
     ],
 )
-def test_setup_names_what_is_wrong(said: dict[str, str], setup: str, words: str) -> None:
+def test_setup_names_what_is_wrong(said, setup, words):
     assert words in said[setup]
 
 
-def test_calls_allocate_nothing(said: dict[str, str]) -> None:
+def test_calls_allocate_nothing(said):
     counted = {
         name.removeprefix("allocations of "): line
         for name, line in said.items()
@@ -184,7 +181,7 @@ def test_calls_allocate_nothing(said: dict[str, str]) -> None:
     assert (len(counted), set(counted.values())) == (17, {"0, wrong: 0"})
 
 
-def test_a_model_comes_back_from_its_file(tmp_path: Path) -> None:
+def test_a_model_comes_back_from_its_file(tmp_path):
     rule = LearnedInitialForce.pretrained()
     grasp = presets.paper_cuboid()
     blob = rule.export(tmp_path / "model", grasp).read_bytes()
@@ -194,7 +191,7 @@ def test_a_model_comes_back_from_its_file(tmp_path: Path) -> None:
     assert {core.Model.load(each) for each in spoiled(blob)} == {None}
 
 
-def test_a_model_is_not_exported_for_contacts_that_it_does_not_know(tmp_path: Path) -> None:
+def test_a_model_is_not_exported_for_contacts_that_it_does_not_know(tmp_path):
     rule = LearnedInitialForce.pretrained()
     with pytest.raises(InfeasibleStartError, match="knows 4 contacts"):
         rule.export(tmp_path / "model", presets.tripod())

@@ -121,7 +121,7 @@ def last_digits(method: str, s: Sample, load: np.ndarray, forces: slice) -> floa
 @each_method
 @pytest.mark.parametrize("kind", ["hard", "frictionless", "thin"])
 @pytest.mark.parametrize("count", [3, 4, 9])
-def test_the_answers_of_single_solves(method: str, kind: str, count: int) -> None:
+def test_the_answers_of_single_solves(method, kind, count):
     given = grasps(count, kind)
     rng = np.random.default_rng(count)
     loads = wrenches(rng, len(given)) * 10.0 ** rng.uniform(-3.0, 0.5, (len(given), 1))
@@ -155,7 +155,7 @@ def test_the_answers_of_single_solves(method: str, kind: str, count: int) -> Non
 
 @each_method
 @pytest.mark.parametrize("count", [3, 9])
-def test_what_is_not_ordinary_is_left(method: str, count: int) -> None:
+def test_what_is_not_ordinary_is_left(method, count):
     """Contacts of little or no rank, no force closure, soft contacts, bad numbers, wrenches of
     nothing; the others keep their bits."""
     given = list(grasps(count, "hard"))
@@ -186,7 +186,7 @@ def test_what_is_not_ordinary_is_left(method: str, count: int) -> None:
 
 @each_method
 @pytest.mark.parametrize("count", [3, 9])
-def test_no_answer_depends_on_its_neighbours(method: str, count: int) -> None:
+def test_no_answer_depends_on_its_neighbours(method, count):
     given = [placed(s) for s in grasps(count, "hard")]
     rng = np.random.default_rng(count)
     own = rng.integers(0, 20, len(given)) * (rng.uniform(size=len(given)) < 0.7) + (
@@ -210,7 +210,7 @@ def test_no_answer_depends_on_its_neighbours(method: str, count: int) -> None:
 
 
 @each_method
-def test_the_limit_of_iterations_leaves_problems(method: str) -> None:
+def test_the_limit_of_iterations_leaves_problems(method):
     loads = wrenches(np.random.default_rng(1), 11, 100.0)
     rows = solved(method, [placed(s) for s in grasps(4, "hard")], loads, None, 1e-8, 2)
     assert (rows[:, CODE] == REFUSED).all()

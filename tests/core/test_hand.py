@@ -23,7 +23,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_control_ticks_allocate_nothing_and_repeat_bit_by_bit(case: str) -> None:
+def test_control_ticks_allocate_nothing_and_repeat_bit_by_bit(case):
     """Forces that are optimised, adjusted and bounded, fingers that come and go, and all other ways
     to hold."""
     found = insides.ticks(900, *CASES[case])

@@ -4,7 +4,6 @@ another process."""
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -68,7 +67,7 @@ def carried(hand, state) -> tuple[np.ndarray, np.ndarray]:
     return moves.reshape(-1, len(weight)), weight
 
 
-def test_a_calibration_is_linear_between_its_points_and_clipped_at_its_ends() -> None:
+def test_a_calibration_is_linear_between_its_points_and_clipped_at_its_ends():
     table = shown.Calibration(
         [[-1.0, 0.0, 0.5], [-2.0, -1.0, 4.0]], [[-200.0, 10.0, 240.0], [20.0, 0.0, -100.0]]
     )
@@ -89,7 +88,7 @@ def test_a_calibration_is_linear_between_its_points_and_clipped_at_its_ends() ->
             shown.Calibration(torques, units)
 
 
-def test_torques_rise_to_those_that_hold_and_end_with_deactivation(hand, state) -> None:
+def test_torques_rise_to_those_that_hold_and_end_with_deactivation(hand, state):
     made = controller(hand)
     assert not repeated(made, state, 3).any()  # not activated
     made.activate(state)
@@ -117,7 +116,7 @@ def test_torques_rise_to_those_that_hold_and_end_with_deactivation(hand, state) 
     assert not repeated(made, state, 2).any()
 
 
-def test_without_messages_the_last_forces_stay_then_fade(hand, state) -> None:
+def test_without_messages_the_last_forces_stay_then_fade(hand, state):
     made = grasping(hand, state)
     forces, s = made.forces, made.settings
     turned = replace(state, angles=state.angles + 0.01, rates=state.rates + 0.5, age=s.stale + 1e-6)
@@ -140,7 +139,7 @@ def test_without_messages_the_last_forces_stay_then_fade(hand, state) -> None:
 
 
 @pytest.mark.parametrize("spoil", ["nan", "short", "twisted"])
-def test_broken_messages_are_ignored(hand, state, spoil: str) -> None:
+def test_broken_messages_are_ignored(hand, state, spoil):
     made = grasping(hand, state)
     held = made.torques
     broken = {
@@ -162,7 +161,7 @@ def test_broken_messages_are_ignored(hand, state, spoil: str) -> None:
             made.activate(broken)
 
 
-def test_a_finger_loses_its_contact_and_regains_it(hand, state) -> None:
+def test_a_finger_loses_its_contact_and_regains_it(hand, state):
     made = controller(hand)
     finger = 1
     made.activate(state)
@@ -188,7 +187,7 @@ def test_a_finger_loses_its_contact_and_regains_it(hand, state) -> None:
     np.testing.assert_allclose(made.forces, whole, atol=0.05)
 
 
-def test_lost_closure_and_weak_motors_have_different_statuses(hand, state) -> None:
+def test_lost_closure_and_weak_motors_have_different_statuses(hand, state):
     made = grasping(hand, state)
     made.update(replace(state, touching=np.array([True, False, False, False])), PERIOD)
     assert made.status == "coasting"
@@ -204,7 +203,7 @@ def test_lost_closure_and_weak_motors_have_different_statuses(hand, state) -> No
     assert made.over_budget == 40
 
 
-def test_two_contacts_balance_what_is_within_their_reach(hand, state) -> None:
+def test_two_contacts_balance_what_is_within_their_reach(hand, state):
     """The rest is a moment about the line through them; nothing else is missing."""
     made = controller(hand)
     lost = replace(state, touching=np.array(TWO, dtype=bool))
@@ -226,7 +225,7 @@ def test_two_contacts_balance_what_is_within_their_reach(hand, state) -> None:
     assert made.status == "holding"
 
 
-def test_a_gripper_of_two_fingers_holds() -> None:
+def test_a_gripper_of_two_fingers_holds():
     two = gripper(2, 2)
     made = hand_loop.controller_of(shown, two, None, friction=0.8)
     where = np.array([[0.0, 0.03, 0.0], [0.0, -0.03, 0.0]])
@@ -255,7 +254,7 @@ def sealed(blob: bytes, numbers: np.ndarray) -> bytes:
     return blob[:8] + check.to_bytes(8, "little") + body
 
 
-def test_a_hand_comes_back_from_its_file(hand, tmp_path: Path) -> None:
+def test_a_hand_comes_back_from_its_file(hand, tmp_path):
     kinematics = hand.scene.kinematics
     blob = kinematics.export(tmp_path / "hand").read_bytes()
     tree = core.Tree.load(blob)
@@ -292,7 +291,7 @@ def test_a_hand_comes_back_from_its_file(hand, tmp_path: Path) -> None:
         kinematics.export(tmp_path / "no folder/hand")
 
 
-def test_a_hand_with_coupled_joints_and_joints_without_limits_comes_back(tmp_path: Path) -> None:
+def test_a_hand_with_coupled_joints_and_joints_without_limits_comes_back(tmp_path):
     hand = HandDescription.four_finger()
     links = (*hand.links[:2], replace(hand.links[2], lower=-np.inf, upper=np.inf), *hand.links[3:])
     tree = HandKinematics(replace(hand, links=links)).tree
@@ -345,9 +344,7 @@ def scenario(hand) -> tuple[list[tuple[float, np.ndarray]], list[np.ndarray], An
     return requests, answered, (knees, np.tile([-240.0, -20.0, 20.0, 240.0], (16, 1)))
 
 
-def test_the_twin_answers_the_same_and_allocates_nothing(
-    hand, programs: Path, tmp_path: Path
-) -> None:
+def test_the_twin_answers_the_same_and_allocates_nothing(hand, programs, tmp_path):
     requests, answered, tables = scenario(hand)
     file = hand.scene.kinematics.export(tmp_path / "hand")
     rows = [np.concatenate([[period], numbers]) for period, numbers in requests]
@@ -365,7 +362,7 @@ def test_the_twin_answers_the_same_and_allocates_nothing(
     assert (status, allocated, finite) == (0.0, 0.0, 1.0)
 
 
-def test_wrong_arguments_are_named(programs: Path, tmp_path: Path) -> None:
+def test_wrong_arguments_are_named(programs, tmp_path):
     for words, told in (
         ([], "usage"),
         (["9", tmp_path / "none", "1000", "0.5"], "HandKinematics.export writes one"),
@@ -376,7 +373,7 @@ def test_wrong_arguments_are_named(programs: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("seconds", [3, pytest.param(60, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("language", ["cpp", "python"])
-def test_it_holds_in_real_time(language: str, seconds: int, programs: Path) -> None:
+def test_it_holds_in_real_time(language, seconds, programs):
     """With contacts that are cut and given back and messages that stop; its speed depends on the
     load of the machine."""
     loop = hand_loop.measure("allegro", 500, seconds, language, programs / "hand_controller")

@@ -129,7 +129,7 @@ def loss(kind: str, answer: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_gradients_are_central_differences_of_the_answers(kind: str) -> None:
+def test_gradients_are_central_differences_of_the_answers(kind):
     given = rows(batch(kind), slice(0, 8))
     rng = np.random.default_rng(3)
     answer = solved(given)
@@ -170,7 +170,7 @@ def test_gradients_are_central_differences_of_the_answers(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["hard", "soft shared normal", "soft own tight", "adrift"])
-def test_an_answer_and_its_gradient_depend_on_no_neighbour(kind: str) -> None:
+def test_an_answer_and_its_gradient_depend_on_no_neighbour(kind):
     given = batch(kind)
     other = batch(kind, 3)
     mixed = {
@@ -203,7 +203,7 @@ def test_an_answer_and_its_gradient_depend_on_no_neighbour(kind: str) -> None:
         )
 
 
-def test_problems_are_read_in_any_layout() -> None:
+def test_problems_are_read_in_any_layout():
     given = batch("hard", 20)
     plain = solved(given)
     double = mapped(given, lambda array: array.astype(np.float32).astype(np.float64))
@@ -249,7 +249,7 @@ def test_problems_are_read_in_any_layout() -> None:
     ],
     ids=lambda wrong: "-".join(wrong),
 )
-def test_wrong_problems_are_not_read(wrong: dict[str, object]) -> None:
+def test_wrong_problems_are_not_read(wrong):
     given = batch("hard") | wrong
     assert _core.ForceProblems.of(tuple(given[name] for name in NAMES), 1000, 1000) is None
     own = tuple(batch("own")[name] for name in NAMES)  # of 4 contacts and 12 joints
@@ -257,7 +257,7 @@ def test_wrong_problems_are_not_read(wrong: dict[str, object]) -> None:
         assert (_core.ForceProblems.of(own, contacts, joints) is None) == (contacts * joints < 48)
 
 
-def test_arrays_to_write_are_checked() -> None:
+def test_arrays_to_write_are_checked():
     problems = read(batch("hard", 2))
     count = 4
     shapes = (

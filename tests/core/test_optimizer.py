@@ -66,7 +66,7 @@ def check(
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("count", COUNTS)
-def test_newton_finds_the_optimum_of_the_oracle(count: int, kind: str) -> None:
+def test_newton_finds_the_optimum_of_the_oracle(count, kind):
     if count > 9 and kind not in HARD:
         pytest.skip("the general program is not made of registers")
     rng = np.random.default_rng(count)
@@ -112,7 +112,7 @@ def test_newton_finds_the_optimum_of_the_oracle(count: int, kind: str) -> None:
 
 @pytest.mark.parametrize("kind", [*HARD, "some soft"])
 @pytest.mark.parametrize("count", SOME)
-def test_steps_are_the_oracles(count: int, kind: str) -> None:
+def test_steps_are_the_oracles(count, kind):
     c = case(count, kind)
     load = wrenches(np.random.default_rng(count), 1, 5.0)[0]
     rows = [c.solver(tolerance=1e-15, limit=k).solve(load)[0] for k in range(5)]
@@ -127,9 +127,7 @@ def test_steps_are_the_oracles(count: int, kind: str) -> None:
 
 @pytest.mark.parametrize("kind", [*HARD, "some soft", "all soft"])
 @pytest.mark.parametrize("count", SOME)
-def test_a_previous_solution_follows_the_wrench_by_the_tangent_correction(
-    count: int, kind: str
-) -> None:
+def test_a_previous_solution_follows_the_wrench_by_the_tangent_correction(count, kind):
     """The correction is the least change in the Hessian of Phi, torsions included."""
     c = case(count, kind)
     load = wrenches(np.random.default_rng(count), 1, 5.0)[0]
@@ -154,7 +152,7 @@ def test_a_previous_solution_follows_the_wrench_by_the_tangent_correction(
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_bound_is_one_far_from_the_optimum(kind: str) -> None:
+def test_a_bound_is_one_far_from_the_optimum(kind):
     c = case(5, kind)
     load = wrenches(np.random.default_rng(2), 1, 0.1 * of(kind))[0]
     best = c.minimum(load)
@@ -169,7 +167,7 @@ def test_a_bound_is_one_far_from_the_optimum(kind: str) -> None:
 
 
 @pytest.mark.parametrize("barrier", [1e-4, 1e-2, 1e3])
-def test_small_and_large_forces_and_barriers(barrier: float) -> None:
+def test_small_and_large_forces_and_barriers(barrier):
     count = 5
     base = sample(count)
     c = Case(
@@ -182,7 +180,7 @@ def test_small_and_large_forces_and_barriers(barrier: float) -> None:
         check(c, load, solver.solve(load)[0], 1e-6)
 
 
-def test_the_basis_is_that_of_the_oracle() -> None:
+def test_the_basis_is_that_of_the_oracle():
     c = case(4, "frictionless")
     s = c.contacts
     solver = c.solver()
@@ -210,7 +208,7 @@ STARTS = (
 
 @pytest.mark.parametrize("name", STARTS)
 @pytest.mark.parametrize("count", SOME)
-def test_starts_are_balanced_and_inside(count: int, name: str) -> None:
+def test_starts_are_balanced_and_inside(count, name):
     c = case(count, "hard")
     s = c.contacts
     solver = c.solver(start=START[name])
@@ -239,7 +237,7 @@ def test_starts_are_balanced_and_inside(count: int, name: str) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_given_start_is_one_or_refused(kind: str) -> None:
+def test_a_given_start_is_one_or_refused(kind):
     c = case(4, kind)
     load = next(
         load
@@ -278,7 +276,7 @@ def test_a_given_start_is_one_or_refused(kind: str) -> None:
 
 
 @pytest.mark.parametrize("count", SOME)
-def test_a_guess_is_balanced_and_the_best_on_the_way(count: int) -> None:
+def test_a_guess_is_balanced_and_the_best_on_the_way(count):
     c = case(count, "hard")
     rng = np.random.default_rng(count)
     used = set()
@@ -305,7 +303,7 @@ def test_a_guess_is_balanced_and_the_best_on_the_way(count: int) -> None:
 
 
 @pytest.mark.parametrize("count", SOME)
-def test_the_combination_follows_moved_contacts(count: int) -> None:
+def test_the_combination_follows_moved_contacts(count):
     """The tangent correction carries it; it is replaced where that leaves the cones or more than
     doubles Phi."""
     c = case(count, "hard")

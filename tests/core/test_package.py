@@ -41,7 +41,7 @@ def check(compiler: str, headers: list[str], *flags: str) -> str:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("compiler", SHADOW)
-def test_headers_stand_alone(compiler: str) -> None:
+def test_headers_stand_alone(compiler):
     """GCC compiles all of them together for `programs` in every run."""
     with ThreadPoolExecutor(2) as pool:
         said = list(pool.map(lambda name: check(compiler, [name]), HEADERS))
@@ -50,7 +50,7 @@ def test_headers_stand_alone(compiler: str) -> None:
 
 
 @pytest.mark.parametrize("flag", ["-Ofast", "-ffinite-math-only"])
-def test_fast_math_is_refused(flag: str) -> None:
+def test_fast_math_is_refused(flag):
     assert "-ffast-math drops the checks for NaN" in check("g++", ["math/lanes.hpp"], flag)
 
 
@@ -119,7 +119,7 @@ def configure(way: Callable[[Path], list[str]], folder: Path, *given: str | Path
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_a_program_finds_the_headers(way: Callable[[Path], list[str]], tmp_path: Path) -> None:
+def test_a_program_finds_the_headers(way, tmp_path):
     build = configure(way, tmp_path, "-DCMAKE_EXPORT_COMPILE_COMMANDS=ON")
     command = (build / "compile_commands.json").read_text()
     assert f"{tmp_path}/" in command.partition("-isystem ")[2]
@@ -137,9 +137,7 @@ def solves(program: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("compiler", SHADOW)
 @pytest.mark.parametrize("way", [*WAYS, with_library])
-def test_a_program_builds_and_solves(
-    way: Callable[[Path], list[str]], compiler: str, tmp_path: Path
-) -> None:
+def test_a_program_builds_and_solves(way, compiler, tmp_path):
     build = configure(
         way, tmp_path, f"-DCMAKE_CXX_COMPILER={tool(compiler)}", "-DCMAKE_BUILD_TYPE=Debug"
     )
@@ -149,7 +147,7 @@ def test_a_program_builds_and_solves(
 
 @pytest.mark.slow
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="levels of x86-64")
-def test_a_library_for_other_registers_does_not_link(tmp_path: Path) -> None:
+def test_a_library_for_other_registers_does_not_link(tmp_path):
     build = configure(
         with_library, tmp_path, "-DCMAKE_BUILD_TYPE=Debug", "-DCMAKE_CXX_FLAGS=-march=x86-64-v3"
     )
@@ -159,14 +157,14 @@ def test_a_library_for_other_registers_does_not_link(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("option", "warned"), [("", True), ("Release", False)])
-def test_a_build_without_optimization_warns(option: str, warned: bool, tmp_path: Path) -> None:
+def test_a_build_without_optimization_warns(option, warned, tmp_path):
     given = [f"-Dgrasp_DIR={CORE / 'cmake'}", f"-DCMAKE_BUILD_TYPE={option}"]
     done = run(tool("cmake"), "-S", CONSUMER, "-B", tmp_path, *given)
     assert done.returncode == 0, done.stderr
     assert ("not optimized" in done.stderr) == warned
 
 
-def test_another_version_is_not_found(tmp_path: Path) -> None:
+def test_another_version_is_not_found(tmp_path):
     (tmp_path / "CMakeLists.txt").write_text(
         "cmake_minimum_required(VERSION 3.21)\nproject(asks LANGUAGES NONE)\nfind_package(grasp ${WANTED} REQUIRED CONFIG)\n"
     )
@@ -191,7 +189,7 @@ def test_another_version_is_not_found(tmp_path: Path) -> None:
         assert (done.returncode == 0) == found, (wanted, done.stderr)
 
 
-def test_ros_tools_read_the_package() -> None:
+def test_ros_tools_read_the_package():
     """The version is the project's; a consumer depends on the name that `find_package` finds."""
     package = ElementTree.parse(CORE / "package.xml").getroot()
     assert (package.tag, package.get("format")) == ("package", "3")
@@ -207,7 +205,7 @@ def test_ros_tools_read_the_package() -> None:
 
 
 @pytest.mark.slow
-def test_a_colcon_workspace_builds_what_depends_on_it(tmp_path: Path) -> None:
+def test_a_colcon_workspace_builds_what_depends_on_it(tmp_path):
     colcon = [tool("colcon"), "--log-base", tmp_path / "log"]
     source = tmp_path / "src"
     source.mkdir()

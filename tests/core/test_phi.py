@@ -35,7 +35,7 @@ X, WEIGHTS, DEPTH = rows()
 
 
 @each_width
-def test_phi_and_its_gradient(lanes: int) -> None:
+def test_phi_and_its_gradient(lanes):
     found = insides.phi(lanes, X, WEIGHTS)
     slope = insides.gradient(lanes, X, WEIGHTS)
     expected = np.array(
@@ -51,7 +51,7 @@ def test_phi_and_its_gradient(lanes: int) -> None:
 
 
 @each_width
-def test_curvature_and_inverse_hessian(lanes: int) -> None:
+def test_curvature_and_inverse_hessian(lanes):
     moves = np.random.default_rng(1).standard_normal(X.shape) * X[:, :1]
     found = insides.along(lanes, X, moves, WEIGHTS)
     inverse = insides.inverse_hessian(lanes, X, WEIGHTS)
@@ -111,7 +111,7 @@ ROUNDING = (
 
 
 @each_width
-def test_dual_is_the_least_of_the_lagrangian(lanes: int) -> None:
+def test_dual_is_the_least_of_the_lagrangian(lanes):
     value, room = insides.dual(lanes, Y, WEIGHED).T
     clear = np.abs(A - B) > 4.0 * EPS * TERMS
     assert ((room > 0.0) == FINITE)[clear].all()
@@ -133,7 +133,7 @@ def near_forces(rng: np.random.Generator, decades: float) -> np.ndarray:
 
 @pytest.mark.parametrize("tight", [1e-2, 1e-3, 3e-4])  # at tolerances 1e-4, 1e-8 and 1e-10
 @each_width
-def test_dual_near_claims_no_more_than_the_least(lanes: int, tight: float) -> None:
+def test_dual_near_claims_no_more_than_the_least(lanes, tight):
     rng = np.random.default_rng(lanes)
     claimed = 0
     for decades in (0.0, 0.01, 0.05, 0.2, 1.0, 4.0):
@@ -152,7 +152,7 @@ def test_dual_near_claims_no_more_than_the_least(lanes: int, tight: float) -> No
 
 
 @each_width
-def test_numbers_without_room_claim_nothing(lanes: int) -> None:
+def test_numbers_without_room_claim_nothing(lanes):
     y = np.array(
         [
             [3.0, 0.0, 0.0],
@@ -176,7 +176,7 @@ def test_numbers_without_room_claim_nothing(lanes: int) -> None:
 
 @pytest.mark.parametrize("shallow", [1.0, 1e-2, 1e-5])
 @each_width
-def test_steps_end_on_the_surface(lanes: int, shallow: float) -> None:
+def test_steps_end_on_the_surface(lanes, shallow):
     rng = np.random.default_rng(lanes)
     number = 300
     x = rng.standard_normal((number, 3))

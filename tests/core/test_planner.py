@@ -74,7 +74,7 @@ def distance(one: np.ndarray, two: np.ndarray) -> float:
 
 @pytest.mark.parametrize("first", KINDS)
 @pytest.mark.parametrize("second", KINDS)
-def test_random_pairs_of_solids(first: str, second: str) -> None:
+def test_random_pairs_of_solids(first, second):
     rng = np.random.default_rng([KINDS.index(first), KINDS.index(second)])
     for trial in range(12):
         a, corners_a, radius_a = solid(first, rng, 1e-4 if trial % 3 == 0 else 1.0)
@@ -92,7 +92,7 @@ def test_random_pairs_of_solids(first: str, second: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["cuboid", "cylinder", "sphere", "capsule"])
-def test_gaps_of_objects(kind: str) -> None:
+def test_gaps_of_objects(kind):
     """A box of a nanometre is a point: the object's own nearest point is the oracle. A line is
     sampled."""
     rng = np.random.default_rng(7)
@@ -120,7 +120,7 @@ def least_force(points, normals, load, efforts=None, torsion=0.0) -> float:
     return _core_test.least_force(points, normals, 0.5, 0.05, load, none, torsion)
 
 
-def test_least_force_against_the_conic_solver() -> None:
+def test_least_force_against_the_conic_solver():
     rng = np.random.default_rng(4)
     closed = 0
     for _ in range(20):
@@ -147,7 +147,7 @@ def rays(normal: np.ndarray, friction: float) -> np.ndarray:
     return np.vstack([normal + part * friction * ring for part in (0.0, 0.5, 1.0)])
 
 
-def test_torques_count_where_they_exceed_the_force() -> None:
+def test_torques_count_where_they_exceed_the_force():
     """The price of a ray is that of the joint nearest to its limit: never below linprog over rays,
     seldom far above."""
     rng = np.random.default_rng(9)
@@ -182,7 +182,7 @@ def test_torques_count_where_they_exceed_the_force() -> None:
         ([0, 0, 0, 0, 0, 1], 0.005, 10.0),
     ],
 )
-def test_two_fingers(load: list[float], torsion: float, force: float) -> None:
+def test_two_fingers(load, torsion, force):
     """Only soft contacts turn the object about the line: each holds 5 mm times its force, 0.05 N m
     takes 10 N in all."""
     normals = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
@@ -207,6 +207,6 @@ FACES = np.array([[0.0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
         (CORNERS, FACES, [CORNERS, CORNERS[:0]], "piece has corners"),
     ],
 )
-def test_a_mesh_needs_faces_and_pieces(corners, faces, pieces, message) -> None:
+def test_a_mesh_needs_faces_and_pieces(corners, faces, pieces, message):
     with pytest.raises(ValueError, match=message):
         core.Surface.mesh(corners, faces, pieces)

@@ -31,19 +31,19 @@ def model(folder: Path) -> Path:
     return LearnedInitialForce.pretrained().export(folder / "four.model", presets.paper_cuboid())
 
 
-def test_random_bytes(programs: Path) -> None:
+def test_random_bytes(programs):
     assert succeed(programs / "fuzz", SEED, "300") == "300\n"
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("compiler", ["g++", "clang++"])
-def test_many_random_bytes_under_the_sanitizers(compiler: str, tmp_path: Path) -> None:
+def test_many_random_bytes_under_the_sanitizers(compiler, tmp_path):
     made = build(tmp_path, *SANITIZED, compiler=compiler)
     assert succeed(made / "fuzz", SEED + "1", "10000") == "10000\n"
 
 
 @pytest.mark.slow
-def test_no_random_bytes_read_memory_before_it_is_written(tmp_path: Path) -> None:
+def test_no_random_bytes_read_memory_before_it_is_written(tmp_path):
     """Valgrind follows every bit; it does not know AVX-512."""
     if not shutil.which("valgrind"):
         pytest.skip("valgrind is not installed")
@@ -51,12 +51,12 @@ def test_no_random_bytes_read_memory_before_it_is_written(tmp_path: Path) -> Non
     assert succeed("valgrind", "-q", "--error-exitcode=9", made / "fuzz", SEED, "2000") == "2000\n"
 
 
-def test_eight_threads(programs: Path, tmp_path: Path) -> None:
+def test_eight_threads(programs, tmp_path):
     assert int(succeed(programs / "threads", model(tmp_path), "5")) == 5 * 6 * 12
 
 
 @pytest.mark.slow
-def test_eight_threads_under_the_thread_sanitizer(tmp_path: Path) -> None:
+def test_eight_threads_under_the_thread_sanitizer(tmp_path):
     made = build(tmp_path, "-O1", "-g1", "-fsanitize=thread")
     assert int(succeed("setarch", "-R", made / "threads", model(tmp_path), "200")) == 200 * 6 * 12
 
@@ -67,7 +67,7 @@ def test_eight_threads_under_the_thread_sanitizer(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "path", sorted((CORE / "examples").glob("*.[ch]pp")), ids=lambda path: path.name
 )
-def test_an_example_is_short_and_has_a_twin(path: Path) -> None:
+def test_an_example_is_short_and_has_a_twin(path):
     text = path.read_text()
     assert len(text) <= MOST_CHARACTERS[path in EXAMPLES]
     assert max(map(len, text.splitlines())) <= 100
@@ -80,7 +80,7 @@ def words(line: str) -> str:
 
 
 @pytest.mark.parametrize("name", [path.stem for path in EXAMPLES])
-def test_twins_print_the_same(name: str, programs: Path, tmp_path: Path) -> None:
+def test_twins_print_the_same(name, programs, tmp_path):
     """Line by line and in the same order, except for times and for lines that Python alone prints;
     a wrong file is named."""
     arguments = [model(tmp_path)] if "learned" in name else []
@@ -103,7 +103,7 @@ def test_twins_print_the_same(name: str, programs: Path, tmp_path: Path) -> None
         assert (done.returncode, len(done.stderr.splitlines())) == (2, 1)
 
 
-def test_the_page_names_every_code() -> None:
+def test_the_page_names_every_code():
     header = (CORE / "include/grasp/record.hpp").read_text()
     codes = re.search(r"enum Code \{(.*?)\n\}", header, re.DOTALL)
     assert codes is not None

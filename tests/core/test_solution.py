@@ -34,7 +34,7 @@ def solution_of(count: int = 4, joints: int = 0, limits: int = 0, **said: float)
 
 @pytest.mark.parametrize(("joints", "limits"), [(0, 0), (12, 24), (0, 5)])
 @pytest.mark.parametrize("count", [0, 4])
-def test_arrays_are_views_of_the_record(count: int, joints: int, limits: int) -> None:
+def test_arrays_are_views_of_the_record(count, joints, limits):
     solution = solution_of(count, joints, limits)
     numbers = row(count, joints, limits)[FORCE:]
     assert solution.n_contacts == count
@@ -59,7 +59,7 @@ def test_arrays_are_views_of_the_record(count: int, joints: int, limits: int) ->
     assert at == len(numbers)
 
 
-def test_the_summary_is_read_off() -> None:
+def test_the_summary_is_read_off():
     said = {
         "iterations": 3,
         "trials": 5,
@@ -91,14 +91,14 @@ def test_the_summary_is_read_off() -> None:
 
 
 @pytest.mark.parametrize("code", ["infeasible", "limits_exceeded"])
-def test_a_proof_has_multipliers_and_an_excess_has_none(code: str) -> None:
+def test_a_proof_has_multipliers_and_an_excess_has_none(code):
     solution = solution_of(4, 2, 4, code=CODES[code])
     assert len(solution.limit_multipliers) == (4 if code == "infeasible" else 0)
     assert (solution.certificate is None) == (code != "infeasible")
     assert solution_of(4, 2, 4).certificate is None
 
 
-def test_views_keep_the_record_alive_and_nothing_leaks() -> None:
+def test_views_keep_the_record_alive_and_nothing_leaks():
     record = row(4, 2, 4)
     trace = np.zeros(3)
     before = sys.getrefcount(record), sys.getrefcount(trace)
@@ -138,7 +138,7 @@ def test_views_keep_the_record_alive_and_nothing_leaks() -> None:
         ),
     ],
 )
-def test_only_records_are_taken(record: object) -> None:
+def test_only_records_are_taken(record):
     with pytest.raises(
         InvalidInputError,
         match="expected the record of a ForceSolution: a C-contiguous float64 row whose header matches its length",
@@ -146,7 +146,7 @@ def test_only_records_are_taken(record: object) -> None:
         Solution(record, NAMES)  # pyright: ignore[reportArgumentType]
 
 
-def test_pickled_whole() -> None:
+def test_pickled_whole():
     solution = ForceSolution(row(4, 12, 24), NAMES, np.ones(2))
     again = pickle.loads(pickle.dumps(solution))
     assert type(again) is ForceSolution

@@ -28,7 +28,7 @@ GRASP = presets.paper_cuboid()
 
 
 @pytest.fixture(scope="module")
-def found(tmp_path_factory) -> SimpleNamespace:
+def found(tmp_path_factory):
     """The rows of a quick run of the command with fewer weights."""
     out = tmp_path_factory.mktemp("reproduce")
     with patch.object(experiments, "WEIGHTS", ((1.0, 0.001), (1.0, 0.03), (1.0, 1.0), (2.0, 0.1))):

@@ -17,7 +17,6 @@ from force.named import attempt
 from problems import random_grasp
 
 from grasp_env.errors import (
-    GraspError,
     InfeasibleWrenchError,
     NotConvergedError,
     RankDeficientGraspError,
@@ -53,7 +52,7 @@ def wide_loads(count: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_answers_of_single_calls(kind: str) -> None:
+def test_the_answers_of_single_calls(kind):
     loads = wide_loads(100)
     batch = optimize_forces(GRASP, loads, **KINDS[kind])
     optimizer = ForceOptimizer(GRASP, **KINDS[kind])
@@ -75,7 +74,7 @@ def test_the_answers_of_single_calls(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["newton", "conic", "network", "limits"])
-def test_no_answer_depends_on_threads_or_neighbours(kind: str) -> None:
+def test_no_answer_depends_on_threads_or_neighbours(kind):
     loads = wide_loads(3 * CHUNK // 2)
     options = KINDS[kind]
     batch = optimize_forces(GRASP, loads, workers=1, **options)
@@ -96,7 +95,7 @@ def test_no_answer_depends_on_threads_or_neighbours(kind: str) -> None:
 
 
 @pytest.mark.parametrize(("method", "tolerance"), [("newton", 1e-8), ("conic", 1e-9)])
-def test_what_agrees_where_sums_round_differently(method: str, tolerance: float) -> None:
+def test_what_agrees_where_sums_round_differently(method, tolerance):
     rng = np.random.default_rng(0)
     apart = []
     for _ in range(20):
@@ -127,7 +126,7 @@ def ring(count: int) -> Grasp:
     "weights", [None, [1.0, 0.3, 5.0, 1.0, 2.0, 0.1, 1.0, 20.0]], ids=["equal", "weighted"]
 )
 @pytest.mark.parametrize("method", ["newton", "conic"])
-def test_grasps_of_every_kind_side_by_side(method: str, weights: list[float] | None) -> None:
+def test_grasps_of_every_kind_side_by_side(method, weights):
     base = ring(8)
     positions, normals = base.positions, base.normals
     grasps = [
@@ -159,7 +158,7 @@ def test_grasps_of_every_kind_side_by_side(method: str, weights: list[float] | N
     np.testing.assert_array_equal(without.records, batch.records[ordinary])
 
 
-def test_grasps_near_rank_loss_are_solved_alone() -> None:
+def test_grasps_near_rank_loss_are_solved_alone():
     """Contacts nearly on a line, where the order of sums matters more than rounding: the bits of
     single calls."""
     base = ring(8)
@@ -177,7 +176,7 @@ PALM = Grasp.from_contacts(GRASP.positions, [[0.0, 0.0, 1.0]] * 4, 0.4)
 
 
 @pytest.mark.parametrize("error", [NotConvergedError, InfeasibleWrenchError])
-def test_what_a_rule_leaves_undecided_is_no_optimum(error: type[GraspError]) -> None:
+def test_what_a_rule_leaves_undecided_is_no_optimum(error):
 
     def rule(grasp: Grasp, load: np.ndarray) -> np.ndarray:
         if load[0] > 0.0:
@@ -202,7 +201,7 @@ def test_what_a_rule_leaves_undecided_is_no_optimum(error: type[GraspError]) -> 
 @pytest.mark.parametrize(
     "options", [{}, {"method": "conic"}, {"limits": ForceLimits(max_normal=1e3)}], ids=str
 )
-def test_what_is_infeasible_has_an_infinite_objective_and_bound(options: dict[str, Any]) -> None:
+def test_what_is_infeasible_has_an_infinite_objective_and_bound(options):
     pulls, presses = np.eye(6)[[2, 2]] * [[1.0], [-1.0]]
     loads = np.array([pulls, presses] * 6)
     for grasps in (PALM, [PALM] * 12):
@@ -214,7 +213,7 @@ def test_what_is_infeasible_has_an_infinite_objective_and_bound(options: dict[st
 
 
 @pytest.mark.parametrize("method", ["newton", "conic", "reduced_flow"])
-def test_contacts_without_rank_have_an_infinite_objective(method: str) -> None:
+def test_contacts_without_rank_have_an_infinite_objective(method):
     optimizer = ForceOptimizer(GRASP, method=method)
     with pytest.raises(
         RankDeficientGraspError if method == "reduced_flow" else InfeasibleWrenchError
@@ -234,7 +233,7 @@ LOADS = sample_ball(np.random.default_rng(0), 100)
 
 
 @pytest.mark.parametrize("kind", ["newton", "conic", "flow", "limits"])
-def test_eight_threads_with_an_optimizer_each_or_a_shared_one(kind: str) -> None:
+def test_eight_threads_with_an_optimizer_each_or_a_shared_one(kind):
     """Use one optimizer in one thread; if it is shared all the same, its answers are still right."""
     alone = [ForceOptimizer(GRASP, **KINDS[kind]) for _ in range(8)]
     shared = ForceOptimizer(GRASP, **KINDS[kind])
@@ -262,7 +261,7 @@ def in_a_child(optimizer: ForceOptimizer, answers: multiprocessing.SimpleQueue) 
 
 @pytest.mark.parametrize("way", ["fork", "spawn"])
 @pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
-def test_processes_after_use(way: str) -> None:
+def test_processes_after_use(way):
     """The parent has used everything, threads of its batches too, before its child does."""
     optimizer = ForceOptimizer(GRASP, initial="previous")
     optimizer.solve(LOADS[0])
@@ -307,7 +306,7 @@ print(took, threading.active_count())
 """
 
 
-def test_an_interrupt_ends_a_batch() -> None:
+def test_an_interrupt_ends_a_batch():
     command = [sys.executable, "-c", INTERRUPTED]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     done = subprocess.run(

@@ -17,7 +17,7 @@ JACOBIAN = 0.05 * np.random.default_rng(0).standard_normal((4, 3, 12))
 THREE = np.array([True, True, True, False])
 
 
-def test_numbers_of_a_contact_that_does_not_touch_are_not_read() -> None:
+def test_numbers_of_a_contact_that_does_not_touch_are_not_read():
     """Arrays, which the core reads in place, and lists; nan and infinities, and for a start in
     Python as well."""
     optimizer = ForceOptimizer(CUBOID, limits=ForceLimits(jacobian=JACOBIAN, torque_limit=5.0))
@@ -48,7 +48,7 @@ def test_numbers_of_a_contact_that_does_not_touch_are_not_read() -> None:
     [[1, 1, 1, 0], [1.0, 1, 1, 0], THREE.astype(np.uint8), THREE.astype(float), THREE.tolist()],
     ids=str,
 )
-def test_a_mask_of_ones_and_zeros_is_a_mask(mask: Any) -> None:
+def test_a_mask_of_ones_and_zeros_is_a_mask(mask):
     optimizer = ForceOptimizer(CUBOID)
     np.testing.assert_array_equal(
         optimizer.solve(WRENCH, contacts=mask).force, optimizer.solve(WRENCH, contacts=THREE).force
@@ -60,7 +60,7 @@ def test_a_mask_of_ones_and_zeros_is_a_mask(mask: Any) -> None:
     [[1, 1, 1, 2], [1, 1, 1, np.nan], ["1"] * 4, [1, 1, 1], [[1, 1, 1, 1]], [[1], [1, 1]], 1],
     ids=str,
 )
-def test_other_masks_are_refused(mask: Any) -> None:
+def test_other_masks_are_refused(mask):
     with pytest.raises(InvalidInputError, match=r"contacts must be \(4,\) of true and false"):
         ForceOptimizer(CUBOID).solve(WRENCH, contacts=mask)
 
@@ -72,7 +72,7 @@ def unaligned(a: np.ndarray) -> np.ndarray:
     return made
 
 
-def test_arrays_at_odd_addresses_are_copied() -> None:
+def test_arrays_at_odd_addresses_are_copied():
     optimizer = ForceOptimizer(
         CUBOID, limits=ForceLimits(jacobian=unaligned(JACOBIAN), torque_limit=5.0)
     )
@@ -97,7 +97,7 @@ def test_arrays_at_odd_addresses_are_copied() -> None:
     "name",
     ["method", "criterion", "force_weight", "tolerance", "max_iterations", "step_rule", "elastic"],
 )
-def test_options_that_cannot_be_hashed_are_named(name: str) -> None:
+def test_options_that_cannot_be_hashed_are_named(name):
     for odd in (memoryview(bytearray(8)), {}, [[]]):
         with pytest.raises(GraspError, match=name):
             ForceOptimizer(CUBOID, **{name: odd})

@@ -17,7 +17,7 @@ def weights_of(problem: Problem) -> dict[str, float]:
 
 
 @pytest.mark.parametrize("method", DESCENTS)
-def test_stopped_early_it_says_so_and_every_step_was_better(method: str) -> None:
+def test_stopped_early_it_says_so_and_every_step_was_better(method):
     """Theorem 1: each iterate is inside, balanced and better than the one before."""
     problem = PROBLEMS[0]
     options = {"initial": "single_value", "method": method, "trace": True}
@@ -41,7 +41,7 @@ def test_stopped_early_it_says_so_and_every_step_was_better(method: str) -> None
 
 
 @pytest.mark.parametrize("method", FLOWS)
-def test_an_impossible_tolerance_stalls_at_the_optimum(method: str) -> None:
+def test_an_impossible_tolerance_stalls_at_the_optimum(method):
     problem = PROBLEMS[0]
     options = {"tolerance": 1e-300, "trace": True, **weights_of(problem)}
     found = optimize_force(problem.grasp, problem.wrench, method=method, **options)
@@ -57,7 +57,7 @@ def test_an_impossible_tolerance_stalls_at_the_optimum(method: str) -> None:
 @pytest.mark.parametrize("method", DESCENTS)
 @pytest.mark.parametrize("start", RULES)
 @pytest.mark.parametrize("problem", PROBLEMS[::2], ids=str)
-def test_start_and_method_do_not_matter(problem: Problem, start: str, method: str) -> None:
+def test_start_and_method_do_not_matter(problem, start, method):
     # the dense flow takes a millisecond a step; the others show the tighter agreement
     tolerance = 1e-6 if method == "full_flow" else 1e-8
     options = {"initial": start, "method": method, "tolerance": tolerance}
@@ -84,7 +84,7 @@ def test_start_and_method_do_not_matter(problem: Problem, start: str, method: st
 
 @pytest.mark.parametrize("tolerance", [1e-4, 1e-8])
 @pytest.mark.parametrize("size", [1e2, 1e5])
-def test_large_forces_take_few_steps(size: float, tolerance: float) -> None:
+def test_large_forces_take_few_steps(size, tolerance):
     """Below 60 although forces exceed their distance to the cones by up to 1e8; crawling took
     thousands."""
     phi = Objective()

@@ -51,7 +51,7 @@ def nearly_open(margin: float) -> Grasp:
 
 @pytest.mark.parametrize("method", ["reduced_flow", "full_flow"])
 @pytest.mark.parametrize("margin", [1e-7, 1e-8, 2e-9, 1.1e-9])
-def test_next_to_losing_closure_a_flow_answers_or_refuses(margin: float, method: str) -> None:
+def test_next_to_losing_closure_a_flow_answers_or_refuses(margin, method):
     """Forces are finite, balanced to rounding, and at most 1e12 N, nine decades above the wrench;
     nothing is called infeasible."""
     grasp = nearly_open(margin)
@@ -89,7 +89,7 @@ def start(grasp: Grasp, squeeze: float = 5.0) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", GRASPS)
-def test_full_and_reduced_iterates_are_equal(name: str) -> None:
+def test_full_and_reduced_iterates_are_equal(name):
     """By the dense projector, by the entries picked from it, and in closed form; balance and the
     structure of P stay."""
     grasp = GRASPS[name]
@@ -117,7 +117,7 @@ def test_full_and_reduced_iterates_are_equal(name: str) -> None:
     assert np.abs(kept - np.append(np.zeros(6 * grasp.n_contacts), -LIGHT)).max() < 1e-11
 
 
-def test_printed_indices_for_four_fingers() -> None:
+def test_printed_indices_for_four_fingers():
     """Eqs.
 
     19 to 21 word for word; floor(a, b) there is the largest integer not greater than a / b.
@@ -135,7 +135,7 @@ def test_printed_indices_for_four_fingers() -> None:
 # step rules
 
 
-def test_barzilai_borwein_steps_are_inverse_curvatures() -> None:
+def test_barzilai_borwein_steps_are_inverse_curvatures():
     land = landscape(CUBOID.cone_matrix, weights(CUBOID))
     for variant in ("long", "short", "alternate"):
         descent, iterates = followed(

@@ -26,7 +26,7 @@ def mixed(rng: np.random.Generator) -> Grasp:
     return Grasp.from_contacts(plain.positions, plain.normals, 0.5, **options)
 
 
-def test_rows_slacks_and_violations_agree_with_the_torques() -> None:
+def test_rows_slacks_and_violations_agree_with_the_torques():
     rng = np.random.default_rng(0)
     grasp = mixed(rng)
     jac = rng.standard_normal((4, 6, 3))
@@ -68,7 +68,7 @@ def test_rows_slacks_and_violations_agree_with_the_torques() -> None:
     assert len(outcomes) > 3
 
 
-def test_one_limit_for_all_is_one_each_and_a_copy() -> None:
+def test_one_limit_for_all_is_one_each_and_a_copy():
     jac = np.random.default_rng(2).standard_normal((3, 3, 2))
     most = np.full(3, 4.0)
     one = ForceLimits(0.5, 4.0, jac.reshape(9, 2), 2.0).rows(presets.tripod())
@@ -86,7 +86,7 @@ def test_one_limit_for_all_is_one_each_and_a_copy() -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_the_general_program_agrees(seed: int) -> None:
+def test_the_general_program_agrees(seed):
     rng = np.random.default_rng(100 + seed)
     grasp = closed(rng, 4)
     limits = finger_limits(rng, 4, 2.5)

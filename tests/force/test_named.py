@@ -146,7 +146,7 @@ def elsewhere(p: Named) -> tuple[Grasp, ForceLimits | None, dict[str, Any]]:
 
 
 @EACH
-def test_every_entry_point(name: str, method: str) -> None:
+def test_every_entry_point(name, method):
     """They agree to their tolerance; only starts and the order of sums differ."""
     p = NAMED[name]
     grasp = p.grasp
@@ -188,7 +188,7 @@ def test_every_entry_point(name: str, method: str) -> None:
 
 
 @EACH
-def test_objectives_are_those_of_an_outside_judge(name: str, method: str) -> None:
+def test_objectives_are_those_of_an_outside_judge(name, method):
     pytest.importorskip("clarabel")
     found = judged(NAMED[name], method)
     known = NAMED[name].known[method]
@@ -205,7 +205,7 @@ def test_objectives_are_those_of_an_outside_judge(name: str, method: str) -> Non
 
 @pytest.mark.parametrize("name", SMOOTH)
 @pytest.mark.parametrize("method", METHODS)
-def test_multipliers_and_prices_are_derivatives(name: str, method: str) -> None:
+def test_multipliers_and_prices_are_derivatives(name, method):
     p = NAMED[name]
     options = {**p.options(method), "tolerance": 1e-10 if method == "newton" else 1e-9}
 
@@ -245,7 +245,7 @@ def test_multipliers_and_prices_are_derivatives(name: str, method: str) -> None:
 @pytest.mark.parametrize(
     ("name", "method"), [(name, method) for name, method in CASES if NAMED[name].elastic]
 )
-def test_multipliers_of_an_excess_bound_that_of_every_wrench(name: str, method: str) -> None:
+def test_multipliers_of_an_excess_bound_that_of_every_wrench(name, method):
     pytest.importorskip("clarabel")
     p = NAMED[name]
     rng = np.random.default_rng(2)

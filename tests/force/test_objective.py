@@ -17,7 +17,7 @@ CUBOID = GRASPS["cuboid, 4"]
 
 
 @pytest.mark.parametrize(("omega", "lam"), WEIGHTS)
-def test_phi_its_derivatives_and_bounds(omega: float, lam: float) -> None:
+def test_phi_its_derivatives_and_bounds(omega, lam):
     """The trace of its definition; derivatives and dual bounds of the oracle, whose derivatives are
     checked by differences."""
     rng = np.random.default_rng(0)
@@ -60,7 +60,7 @@ def test_phi_its_derivatives_and_bounds(omega: float, lam: float) -> None:
     assert bounded > 5
 
 
-def test_phi_is_infinite_outside_and_on_the_cones() -> None:
+def test_phi_is_infinite_outside_and_on_the_cones():
     for outside in OUTSIDE:
         for x in ([1.0, 0.2, 0.1, *outside], [*outside, 1.0, 0.2, 0.1]):
             assert Objective().value(np.array(x)) == np.inf
@@ -71,7 +71,7 @@ def test_phi_is_infinite_outside_and_on_the_cones() -> None:
 conic = partial(optimize_force, method="conic")
 
 
-def test_conic_ends_although_rounding_makes_gaps_negative() -> None:
+def test_conic_ends_although_rounding_makes_gaps_negative():
     """Once in ten thousand wrenches; and a pivot that is rounding is lifted, which saves four
     iterations."""
     loads = np.random.default_rng(4).standard_normal((20_000, 6)) * [1, 1, 1, 0.1, 0.1, 0.1]

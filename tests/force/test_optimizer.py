@@ -90,7 +90,7 @@ def part_of(limits: ForceLimits | None, chosen: np.ndarray) -> ForceLimits | Non
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_order_of_calls_does_not_matter(kind: str) -> None:
+def test_the_order_of_calls_does_not_matter(kind):
     grasp, options = KINDS[kind]
     rough = 0.5 if grasp is not ELLIPTIC else np.tile([0.5, 0.5], (5, 1))
     some = [True, True, True, True, False]
@@ -119,7 +119,7 @@ def test_the_order_of_calls_does_not_matter(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_any_contacts_that_touch_are_a_grasp_of_those(kind: str) -> None:
+def test_any_contacts_that_touch_are_a_grasp_of_those(kind):
     grasp, options = KINDS[kind]
     optimizer = ForceOptimizer(grasp, **options)
     solved = 0
@@ -152,7 +152,7 @@ def test_any_contacts_that_touch_are_a_grasp_of_those(kind: str) -> None:
         optimizer.solve(LOAD, contacts=[False] * 5)
 
 
-def test_an_update_replaces_the_contacts() -> None:
+def test_an_update_replaces_the_contacts():
     optimizer = ForceOptimizer(FIVE, limits=SHARED, initial="linear_combination")
     there = moved(2)
     first = optimizer.solve(LOAD)
@@ -172,7 +172,7 @@ def test_an_update_replaces_the_contacts() -> None:
 @pytest.mark.parametrize(
     "limits", [None, ForceLimits(jacobian=np.full((3, 3, 1), 0.01), torque_limit=5.0)]
 )
-def test_contacts_on_a_line_lose_their_rank(limits: ForceLimits | None) -> None:
+def test_contacts_on_a_line_lose_their_rank(limits):
     """Also in the general program, which shared joints need."""
     line = {"positions": [[0, 0, 0], [0, 0, 0.1], [0, 0, 0.2]], "normals": [[1.0, 0, 0]] * 3}
     for method in ("newton", "conic"):
@@ -193,7 +193,7 @@ def test_contacts_on_a_line_lose_their_rank(limits: ForceLimits | None) -> None:
 @pytest.mark.parametrize(
     ("method", "own"), [("newton", "internal_force"), ("reduced_flow", "linear_combination")]
 )
-def test_previous_starts_with_the_methods_own_and_then_remembers(method: str, own: str) -> None:
+def test_previous_starts_with_the_methods_own_and_then_remembers(method, own):
     optimizer = ForceOptimizer(CUBOID, method=method, initial="previous")
     first = optimizer.solve(PAPER_WRENCH)
     again = optimizer.solve(PAPER_WRENCH)
@@ -209,7 +209,7 @@ def test_previous_starts_with_the_methods_own_and_then_remembers(method: str, ow
     np.testing.assert_array_equal(optimizer.solve(PAPER_WRENCH).force, first.force)
 
 
-def test_a_solution_that_was_kept_is_the_previous_one() -> None:
+def test_a_solution_that_was_kept_is_the_previous_one():
     optimizer = ForceOptimizer(FIVE, initial="previous")
     kept = ForceOptimizer(FIVE, limits=OWN).solve(LOAD)
     optimizer.previous = kept
@@ -234,7 +234,7 @@ def test_a_solution_that_was_kept_is_the_previous_one() -> None:
     np.testing.assert_array_equal(optimizer.previous._record, again._record)
 
 
-def test_the_previous_solution_has_its_own_names() -> None:
+def test_the_previous_solution_has_its_own_names():
     def mine(grasp: Grasp, wrench: np.ndarray) -> np.ndarray:
         return optimize_force(grasp, wrench).force
 
@@ -248,13 +248,13 @@ def test_the_previous_solution_has_its_own_names() -> None:
     assert (optimizer.previous.method, optimizer.previous.initial) == ("conic", "central")
 
 
-def test_a_start_belongs_to_the_caller() -> None:
+def test_a_start_belongs_to_the_caller():
     start = ForceOptimizer(FIVE).start(LOAD)
     start *= 2.0
     assert start.base is None
 
 
-def test_torsions_of_the_touching_contacts_are_carried_over() -> None:
+def test_torsions_of_the_touching_contacts_are_carried_over():
     touching = np.array([True, False, True, True, True])
     optimizer = ForceOptimizer(SOFT, initial="previous")
     first = optimizer.solve(LOAD, contacts=touching)
@@ -264,13 +264,13 @@ def test_torsions_of_the_touching_contacts_are_carried_over() -> None:
     assert again.objective_trace[0] == pytest.approx(first.objective, rel=1e-9)
 
 
-def test_a_mask_of_all_contacts_is_none() -> None:
+def test_a_mask_of_all_contacts_is_none():
     """A start that belongs to the constructor's contacts is found."""
     optimizer = ForceOptimizer(FIVE, initial="lagrange")
     assert optimizer.solve(LOAD, contacts=np.ones(5, bool)).initial == "lagrange"
 
 
-def test_friction_in_pairs_belongs_to_the_touching_contacts() -> None:
+def test_friction_in_pairs_belongs_to_the_touching_contacts():
     friction = np.full((5, 2), np.nan)
     friction[2:] = [0.4, 0.6]
     touching = np.arange(5) >= 2
@@ -280,7 +280,7 @@ def test_friction_in_pairs_belongs_to_the_touching_contacts() -> None:
     np.testing.assert_array_equal(found.force, alone.force)
 
 
-def test_the_deepest_force_is_that_of_the_constructors_contacts() -> None:
+def test_the_deepest_force_is_that_of_the_constructors_contacts():
     def deepest(optimizer: ForceOptimizer) -> np.ndarray:
         force = np.zeros((5, 3))
         optimizer.core.deepest(LOAD, force, np.zeros(5), np.zeros(6))
@@ -292,7 +292,7 @@ def test_the_deepest_force_is_that_of_the_constructors_contacts() -> None:
     np.testing.assert_array_equal(deepest(used), deepest(ForceOptimizer(FIVE)))
 
 
-def test_a_force_that_exceeds_its_limits_has_no_prices() -> None:
+def test_a_force_that_exceeds_its_limits_has_no_prices():
     """A row in C++ does not keep those of the solve before."""
     grasp, options = KINDS["newton, elastic"]
     optimizer = ForceOptimizer(grasp, **options)
@@ -303,17 +303,17 @@ def test_a_force_that_exceeds_its_limits_has_no_prices() -> None:
     assert not exceeded._record[-len(optimizer.limit_labels) :].any()
 
 
-def test_a_start_at_rest_lies_inside() -> None:
+def test_a_start_at_rest_lies_inside():
     assert ForceOptimizer(FIVE, initial="lagrange").solve(np.zeros(6)).initial == "lagrange"
 
 
-def test_the_gap_is_a_part_of_the_bound() -> None:
+def test_the_gap_is_a_part_of_the_bound():
     loose = optimize_force(FIVE, LOAD, tolerance=0.9)
     assert loose.objective > 1.01 * loose.lower_bound > 0.0
     assert loose.optimality_gap == (loose.objective - loose.lower_bound) / loose.lower_bound
 
 
-def test_a_rule_cannot_change_the_wrench() -> None:
+def test_a_rule_cannot_change_the_wrench():
     def rule(grasp: Grasp, wrench: np.ndarray) -> np.ndarray:
         start = optimize_force(grasp, wrench).force
         wrench[:] = 0.0
@@ -328,7 +328,7 @@ def test_a_rule_cannot_change_the_wrench() -> None:
 @pytest.mark.parametrize(
     "kind", ["newton", "newton, own joints", "newton, shared joints", "newton, soft, own joints"]
 )
-def test_no_start_takes_more_steps_than_allowed(kind: str) -> None:
+def test_no_start_takes_more_steps_than_allowed(kind):
     """Also when a start fails and the method's own takes its place, and when a solve without limits
     gives the start."""
     grasp, options = KINDS[kind]
@@ -347,7 +347,7 @@ def test_no_start_takes_more_steps_than_allowed(kind: str) -> None:
     assert most == 6
 
 
-def test_warm_starts_on_the_papers_path_save_steps() -> None:
+def test_warm_starts_on_the_papers_path_save_steps():
     path = wrenches.paper_path(np.linspace(0.0, 2.0, 200)) * np.repeat([1.0, 0.05], 3)
     warm, cold = (
         ForceOptimizer(CUBOID, method="reduced_flow", initial=start) for start in ("previous", None)
@@ -360,7 +360,7 @@ def test_warm_starts_on_the_papers_path_save_steps() -> None:
 @pytest.mark.parametrize(
     "options", [{}, {"method": "reduced_flow"}, {"limits": ForceLimits(max_normal=8.0)}], ids=str
 )
-def test_previous_never_fails_where_no_start_is_named(options: dict[str, Any]) -> None:
+def test_previous_never_fails_where_no_start_is_named(options):
     """An object on three tips, without force closure: the previous solution fits or is replaced."""
     rng = np.random.default_rng(17)
     solved = 0
@@ -398,7 +398,7 @@ def test_previous_never_fails_where_no_start_is_named(options: dict[str, Any]) -
 
 
 @pytest.mark.parametrize("method", ["conic", "newton", "reduced_flow"])
-def test_numbers_in_any_form_are_the_same_and_answers_are_copies(method: str) -> None:
+def test_numbers_in_any_form_are_the_same_and_answers_are_copies(method):
     load = LOAD.astype(np.float32).astype(float)
     optimizer = ForceOptimizer(CUBOID, method=method)
     frozen = load.copy()
@@ -425,7 +425,7 @@ def test_numbers_in_any_form_are_the_same_and_answers_are_copies(method: str) ->
     )
 
 
-def test_a_cached_basis_does_not_keep_its_grasp_alive() -> None:
+def test_a_cached_basis_does_not_keep_its_grasp_alive():
     grasp = presets.tripod()
     OfflineBasis.of(grasp)
     alive = weakref.ref(grasp)
@@ -442,7 +442,7 @@ INWARD = -np.column_stack([np.cos(ANGLE), np.sin(ANGLE), np.zeros(12)])
 RING = Grasp.from_contacts(-0.05 * INWARD, INWARD, 0.5)
 
 
-def test_a_proof_of_the_cones_alone_has_no_prices() -> None:
+def test_a_proof_of_the_cones_alone_has_no_prices():
     optimizer = ForceOptimizer(PALM, limits=ForceLimits(max_normal=2.0))
     with pytest.raises(InfeasibleWrenchError) as by_limits:
         optimizer.solve([0.0, 0.0, -50.0, 0.0, 0.0, 0.0])
@@ -452,7 +452,7 @@ def test_a_proof_of_the_cones_alone_has_no_prices() -> None:
     assert not by_cones.value.solution.limit_multipliers.any()
 
 
-def test_a_proof_uses_the_limits_of_the_call() -> None:
+def test_a_proof_uses_the_limits_of_the_call():
     jacobian = 0.08 * np.random.default_rng(3).standard_normal((4, 3, 5))
     positions = CUBOID.positions + 1e-3
     optimizer = ForceOptimizer(CUBOID, limits=ForceLimits(jacobian=jacobian, torque_limit=0.4))
@@ -464,7 +464,7 @@ def test_a_proof_uses_the_limits_of_the_call() -> None:
     assert reference.proof(solution.certificate, PAPER_WRENCH, solution.limit_multipliers) >= -2e-7
 
 
-def test_words_name_what_the_proof_needs() -> None:
+def test_words_name_what_the_proof_needs():
     limits = ForceLimits(max_normal=[0.3, 90.0, 90.0, 90.0])
     for method, cones in (("conic", ""), ("newton", r" and the friction cones? of contacts? \d.*")):
         needed = rf"needs the limits contact 0: normal <= 0.3 N.*{cones}elastic=True"

@@ -194,7 +194,7 @@ def trial(seed: int, problems: int) -> tuple[Counter[str], list[str]]:
 
 
 @pytest.mark.parametrize("problems", [3_000, pytest.param(200_000, marks=pytest.mark.slow)])
-def test_previous_ends_as_a_cold_call(problems: int) -> None:
+def test_previous_ends_as_a_cold_call(problems):
     counts, notes = trial(SEED, problems)
     print("\n".join(notes[:50]), *sorted(counts.items()), sep="\n")
     assert not notes

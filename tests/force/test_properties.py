@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -125,9 +124,7 @@ def in_another_unit(grasp: Grasp, wrench: np.ndarray, rng: Generator) -> Same:
 @pytest.mark.parametrize("change", [turned, mirrored, shifted, permuted, in_another_unit])
 @properties
 @given(SEEDS, KINDS, strategies.sampled_from(["sum", "max", "newton"]))
-def test_the_same_problem_has_the_same_answer(
-    change: Callable[..., Same], seed: int, kind: str, what: str
-) -> None:
+def test_the_same_problem_has_the_same_answer(change, seed, kind, what):
     grasp, wrench, rng = case(seed, kind)
     other, load, order, side = change(grasp, wrench, rng)
     if what != "newton":
@@ -147,7 +144,7 @@ def test_the_same_problem_has_the_same_answer(
 
 @properties
 @given(SEEDS, KINDS, CRITERIA, strategies.integers(-30, 30))
-def test_powers_of_two_scale_every_bit(seed: int, kind: str, criterion: str, power: int) -> None:
+def test_powers_of_two_scale_every_bit(seed, kind, criterion, power):
     grasp, wrench, _ = case(seed, kind)
     one, other = (least(grasp, wrench * k, criterion=criterion) for k in (1.0, 2.0**power))
     np.testing.assert_array_equal(other.force, 2.0**power * one.force)

@@ -83,7 +83,7 @@ def out_of_reach(grasp: Grasp) -> np.ndarray:
     return np.linalg.solve(grasp.unit_frame, lost).T
 
 
-def test_one_contact_has_one_force() -> None:
+def test_one_contact_has_one_force():
     rng = np.random.default_rng(0)
     for _ in range(12):
         grasp = random_contacts(rng, "one")
@@ -95,7 +95,7 @@ def test_one_contact_has_one_force() -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS[1:])
-def test_wrenches_within_reach_have_the_optimum_of_another_solver(kind: str) -> None:
+def test_wrenches_within_reach_have_the_optimum_of_another_solver(kind):
     rng = np.random.default_rng(KINDS.index(kind))
     for _ in range(12):
         grasp = random_contacts(rng, kind)
@@ -129,7 +129,7 @@ def test_wrenches_within_reach_have_the_optimum_of_another_solver(kind: str) -> 
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_wrenches_out_of_reach_have_a_proof(kind: str) -> None:
+def test_wrenches_out_of_reach_have_a_proof(kind):
     """The twist moves no contact; without that part the wrench is balanced."""
     rng = np.random.default_rng(KINDS.index(kind))
     for _ in range(12):
@@ -161,7 +161,7 @@ def test_wrenches_out_of_reach_have_a_proof(kind: str) -> None:
         assert optimize_force(grasp, grasp.within_reach(wrench)).status is Status.OPTIMAL
 
 
-def test_limits_batches_and_masks_take_such_contacts() -> None:
+def test_limits_batches_and_masks_take_such_contacts():
     rng = np.random.default_rng(0)
     pinch = Grasp.from_contacts([[0, 0.03, 0], [0, -0.03, 0]], [[0, -1, 0], [0, 1, 0]], 0.8)
     loads = np.array([wrench_within(rng, pinch) for _ in range(20)])
@@ -203,7 +203,7 @@ def test_limits_batches_and_masks_take_such_contacts() -> None:
             assert judge.proof(proof.certificate, loads[0], proof.limit_multipliers) > -1e-12
 
 
-def test_previous_solutions_and_given_forces_start_there_too() -> None:
+def test_previous_solutions_and_given_forces_start_there_too():
     pinch = Grasp.from_contacts([[0, 0.03, 0], [0, -0.03, 0]], [[0, -1, 0], [0, 1, 0]], 0.8)
     optimizer = ForceOptimizer(pinch, initial="previous")
     load = np.array([0.3, 2.0, -1.0, 0.001, 0.0, 0.002])
@@ -217,7 +217,7 @@ def test_previous_solutions_and_given_forces_start_there_too() -> None:
     assert optimizer.solve(load).status is Status.OPTIMAL
 
 
-def test_they_have_no_closure_and_what_needs_it_says_so() -> None:
+def test_they_have_no_closure_and_what_needs_it_says_so():
     for kind in KINDS:
         grasp = random_contacts(np.random.default_rng(3), kind)
         closed = force_closure(grasp)

@@ -61,7 +61,7 @@ def assert_start(grasp: Grasp, wrench: np.ndarray, force: np.ndarray, part: floa
     "name", ["linear_combination", "single_value", "linear_combination_printed", "phase_one"]
 )
 @pytest.mark.parametrize("k", range(len(ALL)))
-def test_rules_that_always_have_a_start(k: int, name: str) -> None:
+def test_rules_that_always_have_a_start(k, name):
     """On symmetric grasps the internal optimum has no tangential part: loads along a normal meet
     cones at their apex."""
     grasp = ALL[k]
@@ -77,7 +77,7 @@ def test_rules_that_always_have_a_start(k: int, name: str) -> None:
             rule(grasp, np.zeros(6))
 
 
-def test_lagrange_starts_are_stationary() -> None:
+def test_lagrange_starts_are_stationary():
     rule = CoreRule("lagrange")
     rng = np.random.default_rng(1)
     starts = 0
@@ -105,7 +105,7 @@ def test_lagrange_starts_are_stationary() -> None:
     assert solution[0] > 0.0
 
 
-def test_single_value_is_the_pseudoinverse_plus_the_least_squeeze() -> None:
+def test_single_value_is_the_pseudoinverse_plus_the_least_squeeze():
     force = initial_rule("single_value")(CUBOID, PAPER_WRENCH)
     rest = OfflineBasis.of(CUBOID).rest
     particular = -(CUBOID.pseudoinverse @ PAPER_WRENCH).reshape(-1, 3)
@@ -128,7 +128,7 @@ def moved(grasp: Grasp, rng: np.random.Generator, size: float) -> Grasp:
 
 
 @pytest.mark.parametrize("grasp", ALL[:7], ids=lambda grasp: f"N{grasp.n_contacts}")
-def test_the_basis_holds_optima_combines_them_and_moves(grasp: Grasp) -> None:
+def test_the_basis_holds_optima_combines_them_and_moves(grasp):
     weights = {"force_weight": 2.0, "barrier_weight": 0.05}
     rng = np.random.default_rng(44)
     basis = OfflineBasis.of(grasp, Objective(**weights))
@@ -161,7 +161,7 @@ def test_the_basis_holds_optima_combines_them_and_moves(grasp: Grasp) -> None:
         )
 
 
-def test_repair_is_never_worse_than_the_combination() -> None:
+def test_repair_is_never_worse_than_the_combination():
     rng = np.random.default_rng(31)
     repair = Repair(OBJECTIVE)
     better = 0
@@ -189,7 +189,7 @@ def test_repair_is_never_worse_than_the_combination() -> None:
 
 
 @pytest.mark.parametrize("grasp", ALL[:7], ids=lambda grasp: f"N{grasp.n_contacts}")
-def test_carry_over_to_another_grasp_and_wrench(grasp: Grasp) -> None:
+def test_carry_over_to_another_grasp_and_wrench(grasp):
     """ "tangent" follows the optimum while its Phi is at most twice what it was; the other is never
     worse than the combination."""
     rng = np.random.default_rng(33)
@@ -237,9 +237,7 @@ def squeezing(newtons: float) -> Callable[[Grasp, np.ndarray], np.ndarray]:
 @pytest.mark.parametrize(
     ("newtons", "weight"), [(1.0, 0.01), (3.0, 0.02), (10.0, 0.01), (np.nan, 0.02)]
 )
-def test_a_guess_of_which_nothing_is_left_is_reported(
-    method: str, newtons: float, weight: float
-) -> None:
+def test_a_guess_of_which_nothing_is_left_is_reported(method, newtons, weight):
     """Also for a rule that repairs in another Phi than the one that is solved; never for zero
     wrench."""
     rule = squeezing(newtons)
@@ -265,7 +263,7 @@ def test_a_guess_of_which_nothing_is_left_is_reported(
     assert optimizer.solve(np.zeros(6)).start_replaced is False
 
 
-def test_without_closure_only_phase_one_has_a_start() -> None:
+def test_without_closure_only_phase_one_has_a_start():
     down = np.array([0.0, 0.0, -2.0, 0.0, 0.0, 0.0])
     for name in ("linear_combination", "single_value", "lagrange"):
         for call in (initial_rule(name), partial(optimize_force, initial=name)):
@@ -290,7 +288,7 @@ def test_without_closure_only_phase_one_has_a_start() -> None:
 @pytest.mark.parametrize(
     "name", ["pinch", "soft", "mixed", "hard, normals", "hard, torques", "own joints", "all"]
 )
-def test_any_start_ends_at_the_same_optimum(name: str) -> None:
+def test_any_start_ends_at_the_same_optimum(name):
     p = NAMED[name]
     optimizer = ForceOptimizer(p.grasp, **p.options("newton"))
     want = optimizer.solve(p.wrench)
@@ -318,7 +316,7 @@ def test_any_start_ends_at_the_same_optimum(name: str) -> None:
         assert p.grasp.cone_margin(found.initial_force) > 0.0
 
 
-def test_a_rule_gets_the_contacts_of_the_call() -> None:
+def test_a_rule_gets_the_contacts_of_the_call():
     """Those that touch, where they are, along the tangents of the optimizer's grasp."""
     seen: list[Grasp] = []
 
@@ -357,7 +355,7 @@ def loaded(rng: np.random.Generator, load: float) -> Iterator[tuple[Grasp, np.nd
 
 
 @pytest.mark.parametrize("load", LOADS)
-def test_a_given_start_is_judged_by_its_own_wrench(load: float) -> None:
+def test_a_given_start_is_judged_by_its_own_wrench(load):
     """`start` takes what `solve` takes: a force that misses balance by a part of 1e-11 to 5e-9 of
     the wrench."""
     rng = np.random.default_rng(5)
@@ -372,7 +370,7 @@ def test_a_given_start_is_judged_by_its_own_wrench(load: float) -> None:
 
 
 @pytest.mark.parametrize("load", LOADS)
-def test_a_carried_start_that_stalls_is_never_replaced_by_a_worse_force(load: float) -> None:
+def test_a_carried_start_that_stalls_is_never_replaced_by_a_worse_force(load):
     """With few steps and a gap below rounding: the objective is not above that of the optimum that
     was given."""
     for grasp, wrench in loaded(np.random.default_rng(0), load):

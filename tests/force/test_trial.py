@@ -174,7 +174,7 @@ def trial(
 
 
 @pytest.mark.parametrize(("family", "method", "elastic"), CASES)
-def test_sample(family: str, method: str, elastic: bool) -> None:
+def test_sample(family, method, elastic):
     counts, notes = trial(family, 3, PROBLEMS[family], method, elastic)
     assert not [note for note in notes if ": wrong" in note], notes
     if family == "hard" and method != "max":  # the core's own solvers have no exception at all
@@ -194,7 +194,7 @@ def test_sample(family: str, method: str, elastic: bool) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("family", "method", "elastic"), CASES)
-def test_thousands(family: str, method: str, elastic: bool) -> None:
+def test_thousands(family, method, elastic):
     counts, notes = trial(family, SEED, 3000 if family == "hard" else 1500, method, elastic)
     print("\n".join(notes), *sorted(counts.items()), sep="\n")
     assert not [note for note in notes if ": wrong" in note]

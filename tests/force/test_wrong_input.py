@@ -236,7 +236,7 @@ def call(name: str = "solve", **given: Any) -> Callable[[], Any]:
         (partial(Objective().value, np.ones(4)), r"x must have shape \(3N,\)"),
     ],
 )
-def test_wrong_input(call: Callable[[], object], message: str) -> None:
+def test_wrong_input(call, message):
     with pytest.raises(GraspError, match=message) as caught:
         call()
     kinds = {"unknown": UnknownNameError, "previous solution has": InfeasibleStartError}
@@ -260,7 +260,7 @@ def test_wrong_input(call: Callable[[], object], message: str) -> None:
 @pytest.mark.parametrize(
     "options", [{"initial": "phase_one"}, {"initial": "previous"}, {"method": "conic"}], ids=str
 )
-def test_an_optimizer_works_after_an_error(options: dict[str, Any]) -> None:
+def test_an_optimizer_works_after_an_error(options):
     optimizer = ForceOptimizer(GRASP, **options)
     want = optimizer.solve(PAPER_WRENCH).force
     for given in ({"wrench": np.zeros(5)}, {"wrench": PAPER_WRENCH, "positions": np.zeros((4, 3))}):
@@ -301,9 +301,7 @@ def fail(*_: object) -> NoReturn:
         (lambda good: good - 3.0 * SQUEEZE, r"leaves the friction cones \(margin -.* N\).*Repair"),
     ],
 )
-def test_a_rule_that_breaks_its_promise(
-    broken: Callable[[np.ndarray], object], message: str
-) -> None:
+def test_a_rule_that_breaks_its_promise(broken, message):
     good = LinearCombination()(GRASP, PAPER_WRENCH)
     force = broken(good)
     for rule in (
@@ -328,7 +326,7 @@ def test_a_rule_that_breaks_its_promise(
         (ruled(model=lambda *_: None), "'mine' .*must be a Model, got None"),
     ],
 )
-def test_a_rule_that_fails(rule: Any, message: str) -> None:
+def test_a_rule_that_fails(rule, message):
     for method in ("newton", "reduced_flow"):
         with pytest.raises(GraspError, match=message):
             solve(method=method, initial=rule)()
@@ -339,7 +337,7 @@ def test_a_rule_that_fails(rule: Any, message: str) -> None:
 
 @pytest.mark.parametrize("initial", [None, "phase_one", "internal_force", "previous"])
 @pytest.mark.parametrize("method", DESCENTS)
-def test_an_infeasible_wrench_carries_its_proof(initial: str | None, method: str) -> None:
+def test_an_infeasible_wrench_carries_its_proof(initial, method):
     lift = np.array([0.0, 0.0, 2.0, 0.0, 0.0, 0.0])  # contacts only push up; nothing pulls down
     with pytest.raises(
         InfeasibleWrenchError, match=r"\[0\.0, 0\.0, 2\.0, .*certificate.*add contacts"
@@ -357,7 +355,7 @@ def test_an_infeasible_wrench_carries_its_proof(initial: str | None, method: str
         solution.raise_for_status()
 
 
-def test_errors_are_of_one_tree_and_survive_pickling() -> None:
+def test_errors_are_of_one_tree_and_survive_pickling():
     error = pickle.loads(
         pickle.dumps(UnknownNameError("method", "newest", ("conic",), "; look again"))
     )

@@ -97,13 +97,13 @@ def first_difference(now: dict[str, np.ndarray], then: dict[str, np.ndarray]) ->
 
 
 @pytest.fixture(scope="module")
-def recorded() -> dict[str, np.ndarray]:
+def recorded():
     with np.load(RECORD, allow_pickle=False) as file:
         return {name: file[name] for name in file.files}
 
 
 @needs_bullet
-def test_an_episode_is_as_recorded(recorded: dict[str, np.ndarray]) -> None:
+def test_an_episode_is_as_recorded(recorded):
     assert first_difference(trajectory(), recorded) == ""
 
 

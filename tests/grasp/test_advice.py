@@ -79,7 +79,7 @@ MISTAKES = {
 
 
 @pytest.mark.parametrize("name", MISTAKES)
-def test_mistakes_are_found_and_the_near_certain_ones_are_warnings(name: str) -> None:
+def test_mistakes_are_found_and_the_near_certain_ones_are_warnings(name):
     made = MISTAKES[name]
     assert any(made.told in text for text in advise(made.grasp, made.wrench, made.limits)), name
     with warnings.catch_warnings(record=True) as seen:
@@ -135,7 +135,7 @@ def plausible(rng: np.random.Generator) -> tuple[Grasp, np.ndarray, ForceLimits 
     return grasp, load, ForceLimits(jacobian=levers, torque_limit=most)
 
 
-def test_plausible_problems_get_no_advice() -> None:
+def test_plausible_problems_get_no_advice():
     rng = np.random.default_rng(34)
     told = list[str]()
     tried = 0
@@ -154,7 +154,7 @@ def test_plausible_problems_get_no_advice() -> None:
     assert told == []
 
 
-def test_some_normals_are_only_blamed_if_turning_them_round_helps() -> None:
+def test_some_normals_are_only_blamed_if_turning_them_round_helps():
     rng = np.random.default_rng(1)
     blamed = 0
     for k in range(60):
@@ -176,7 +176,7 @@ def test_some_normals_are_only_blamed_if_turning_them_round_helps() -> None:
     )
 
 
-def test_poor_grasps_are_described() -> None:
+def test_poor_grasps_are_described():
     assert [text for grasp in GRASPS.values() for text in advise(grasp, PAPER)] == []
     assert advise(other(friction=1.9)) == []
     five = presets.five_finger_cuboid()
@@ -203,7 +203,7 @@ def test_poor_grasps_are_described() -> None:
     assert text.startswith("rank(G) = 3 < 6")
 
 
-def test_torque_limits_are_beside_the_torques_of_forces_and_torsions() -> None:
+def test_torque_limits_are_beside_the_torques_of_forces_and_torsions():
     soft = Grasp.from_contacts(
         CUBOID.positions, CUBOID.normals, 0.5, contact_model="soft", torsional_friction=0.02
     )
@@ -222,7 +222,7 @@ def test_torque_limits_are_beside_the_torques_of_forces_and_torsions() -> None:
     )
 
 
-def test_rows_of_rotation_have_no_unit_to_mistake() -> None:
+def test_rows_of_rotation_have_no_unit_to_mistake():
     """A joint behind a gear turns a fingertip by more than 5 rad a radian."""
     jacobian = np.concatenate([np.full((4, 3, 2), 0.03), np.full((4, 3, 2), 20.0)], axis=1)
     assert (
@@ -233,7 +233,7 @@ def test_rows_of_rotation_have_no_unit_to_mistake() -> None:
     )
 
 
-def test_a_swapped_wrench_is_described_alike_in_every_frame() -> None:
+def test_a_swapped_wrench_is_described_alike_in_every_frame():
     swapped = PAPER[[3, 4, 5, 0, 1, 2]]
     place = (np.eye(3)[[1, 2, 0]], [0.05, -0.15, 0.08])
     assert (
@@ -243,7 +243,7 @@ def test_a_swapped_wrench_is_described_alike_in_every_frame() -> None:
     )
 
 
-def test_a_control_loop_is_not_warned_again_and_wrong_arguments_are_errors() -> None:
+def test_a_control_loop_is_not_warned_again_and_wrong_arguments_are_errors():
     optimizer = ForceOptimizer(CUBOID, method="newton")
     with warnings.catch_warnings():
         warnings.simplefilter("error")

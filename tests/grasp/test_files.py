@@ -27,7 +27,7 @@ def written(folder: Path, **changes: object) -> Path:
     return file
 
 
-def test_grasps_come_back_bit_by_bit(tmp_path: Path) -> None:
+def test_grasps_come_back_bit_by_bit(tmp_path):
     rng = np.random.default_rng(1)
     base = random_grasp(rng, 5)
     mu = [[0.5, 0.5], [0.3, 0.7], [1 / 3, 0.1], [0.4, 0.4], [0.5, 0.2]]
@@ -50,7 +50,7 @@ def test_grasps_come_back_bit_by_bit(tmp_path: Path) -> None:
         assert [f.name for f in file.parent.iterdir()] == ["grasp.json"]
 
 
-def test_a_file_needs_three_keys(tmp_path: Path) -> None:
+def test_a_file_needs_three_keys(tmp_path):
     grasp = load_grasp(file := written(tmp_path))
     same(grasp, Grasp.from_contacts(**PLAIN))
     file.write_bytes(b"\xef\xbb\xbf" + file.read_bytes())  # the mark with which some editors begin
@@ -85,9 +85,7 @@ def test_a_file_needs_three_keys(tmp_path: Path) -> None:
         ("[" * 100_000, "is not a JSON object"),
     ],
 )
-def test_errors_name_the_file_and_the_field(
-    changes: dict | str, message: str, tmp_path: Path
-) -> None:
+def test_errors_name_the_file_and_the_field(changes, message, tmp_path):
     file = tmp_path / "grasp.json"
     if isinstance(changes, str):
         file.write_bytes(changes.encode("latin-1"))
@@ -99,9 +97,7 @@ def test_errors_name_the_file_and_the_field(
     assert isinstance(caught.value, OSError)
 
 
-def test_files_that_cannot_be_read_or_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_files_that_cannot_be_read_or_written(tmp_path, monkeypatch):
     with pytest.raises(GraspFileError, match="a length of one to 1 %") as caught:
         load_grasp(file := written(tmp_path, normals=[[0.0, 0.0, 2.0]] * 3))
     assert isinstance(caught.value.__cause__, InvalidInputError)

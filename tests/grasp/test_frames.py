@@ -21,7 +21,7 @@ def pose(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     return Rotation.random(random_state=rng).as_matrix(), rng.standard_normal(3)
 
 
-def test_wrenches_transform_by_the_adjoint() -> None:
+def test_wrenches_transform_by_the_adjoint():
     rng = np.random.default_rng(0)
     for _ in range(20):
         turn, shift = pose(rng)
@@ -48,7 +48,7 @@ def test_wrenches_transform_by_the_adjoint() -> None:
     )
 
 
-def test_contact_forces_keep_their_numbers_in_another_frame() -> None:
+def test_contact_forces_keep_their_numbers_in_another_frame():
     rng = np.random.default_rng(3)
     plain = random_grasp(np.random.default_rng(3), 5)
     models = ["hard", "soft", "hard", "frictionless", "soft"]
@@ -71,7 +71,7 @@ def test_contact_forces_keep_their_numbers_in_another_frame() -> None:
         assert moved.models.names == grasp.models.names
 
 
-def test_weight() -> None:
+def test_weight():
     np.testing.assert_allclose(gravity_wrench(2.0), [0, 0, -19.62, 0, 0, 0])
     # a quarter turn about x: the object's y axis points up, so its weight pulls along -y
     upright = Rotation.from_euler("x", 90, degrees=True).as_matrix()
@@ -85,7 +85,7 @@ def test_weight() -> None:
     np.testing.assert_allclose(wrench_about(weight, com)[3:], 0.0, atol=1e-14)
 
 
-def test_single_precision_rotations_are_made_exact() -> None:
+def test_single_precision_rotations_are_made_exact():
     turn = Rotation.from_rotvec([0.3, -0.8, 0.5]).as_matrix().astype(np.float32)
     exact = checked_rotation(turn)
     np.testing.assert_allclose(exact.T @ exact, np.eye(3), atol=1e-14)

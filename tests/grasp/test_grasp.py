@@ -45,7 +45,7 @@ def same(grasp: Grasp, other: Grasp) -> None:
     assert (grasp.models.names, grasp.length) == (other.models.names, other.length)
 
 
-def test_frames_follow_the_rule_of_the_tangents() -> None:
+def test_frames_follow_the_rule_of_the_tangents():
     normals = geometry.directions()
     plain = np.array([geometry.frame(n) for n in normals])
     # near |n_x| = 0.9 the projection divides by 0.44 at least
@@ -57,7 +57,7 @@ def test_frames_follow_the_rule_of_the_tangents() -> None:
 
 @pytest.mark.parametrize("tangents", [False, True])
 @pytest.mark.parametrize("count", [3, 4, 5, 7, 50])
-def test_arrays_are_the_plain_formulas(count: int, tangents: bool) -> None:
+def test_arrays_are_the_plain_formulas(count, tangents):
     rng = np.random.default_rng(count)
     base = random_grasp(rng, count)
     mu = rng.uniform(0.2, 1.0, (count, 2))
@@ -131,7 +131,7 @@ def test_arrays_are_the_plain_formulas(count: int, tangents: bool) -> None:
     assert grasp.cone_margin(force) == grasp.cone_margins(force).min()
 
 
-def test_rank_is_that_of_the_singular_values() -> None:
+def test_rank_is_that_of_the_singular_values():
     """A clear rank is decided without them, since they cost ten times the rest of a grasp."""
     rng = np.random.default_rng(0)
     clear = 0
@@ -173,9 +173,7 @@ MODELS: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize("tangents", [None, ALONG], ids=["default", "given"])
 @pytest.mark.parametrize("models", MODELS)
-def test_unchecked_pickled_and_copied_grasps_are_the_same_to_the_bit(
-    models: str, tangents: np.ndarray | None
-) -> None:
+def test_unchecked_pickled_and_copied_grasps_are_the_same_to_the_bit(models, tangents):
     grasp = Grasp.from_contacts(POSITIONS + 0.01, NORMALS, tangents=tangents, **MODELS[models])
     positions = grasp.positions.copy()
     unchecked = Grasp.unchecked(positions, grasp.normals.copy(), grasp.models, tangents)
@@ -200,7 +198,7 @@ FORMS = {
 @pytest.mark.parametrize(
     "friction", [0.4, [0.4, 0.5, 0.6], [[0.4, 0.5], [0.6, 0.6], [0.5, 0.4]]], ids=str
 )
-def test_numbers_in_any_form_make_the_same_grasp(form: str, friction: Any) -> None:
+def test_numbers_in_any_form_make_the_same_grasp(form, friction):
     """The compiled reader takes plain arrays; anything else goes through Python."""
     # normals to rounding of unit length
     given = [POSITIONS + 0.01, NORMALS * (1.0 + 5e-7), np.array(friction)]
@@ -211,7 +209,7 @@ def test_numbers_in_any_form_make_the_same_grasp(form: str, friction: Any) -> No
     same(grasp, Grasp.from_contacts(*given, contact_model=["hard"] * 3, tangents=ALONG))
 
 
-def test_a_grasp_is_an_immutable_copy() -> None:
+def test_a_grasp_is_an_immutable_copy():
     positions = POSITIONS.copy()
     friction = np.full(3, 0.5)
     grasp = Grasp.from_contacts(positions, NORMALS, friction)

@@ -33,7 +33,7 @@ def assert_basis(grasp: Grasp, basis: np.ndarray) -> None:
     ].any()
 
 
-def test_a_basis_near_another_grasps_is_the_polar_factor_of_its_projection() -> None:
+def test_a_basis_near_another_grasps_is_the_polar_factor_of_its_projection():
     grasp = random_grasp(np.random.default_rng(0), 4)
     nominal = reference_basis(GRASPS["cuboid, 4"])
     here = np.einsum("nba,nbk->nak", grasp.frames, nominal.reshape(4, 3, -1)).reshape(nominal.shape)
@@ -94,7 +94,7 @@ NUMBERS = {
 
 
 @pytest.mark.parametrize("name", NUMBERS)
-def test_internal_forces_are_counted_for_every_model(name: str) -> None:
+def test_internal_forces_are_counted_for_every_model(name):
     grasp, forces, whole = NUMBERS[name]
     names = list(grasp.models.names)
     assert grasp.null_dimension == forces
@@ -102,7 +102,7 @@ def test_internal_forces_are_counted_for_every_model(name: str) -> None:
     assert_basis(grasp, null_space_basis(grasp))
 
 
-def test_random_grasps_of_mixed_contacts() -> None:
+def test_random_grasps_of_mixed_contacts():
     rng = np.random.default_rng(0)
     met = Counter[tuple[bool, bool]]()
     for trial in range(320):
@@ -153,7 +153,7 @@ def rolled(angle: float) -> Grasp:
     return Grasp.from_contacts(0.05 * out, -out, 0.6)
 
 
-def test_the_basis_is_smooth_where_the_tangents_switch() -> None:
+def test_the_basis_is_smooth_where_the_tangents_switch():
     centre = float(np.arcsin(TANGENT_SWITCH))  # |n_x| = sin(angle) of the first contact
     reference = reference_basis(rolled(centre - 0.1))
 
@@ -181,7 +181,7 @@ def test_the_basis_is_smooth_where_the_tangents_switch() -> None:
         "nine frictionless",
     ],
 )
-def test_the_basis_is_smooth_for_every_model(name: str) -> None:
+def test_the_basis_is_smooth_for_every_model(name):
     nominal = NUMBERS[name][0]
     rng = np.random.default_rng(0)
     shift, turn = rng.standard_normal((2, nominal.n_contacts, 3)) * [[[0.01]], [[0.5]]]

@@ -8,7 +8,7 @@ import pytest
 from grasp_env.grasp import wrench
 
 
-def test_the_papers_wrenches_by_hand() -> None:
+def test_the_papers_wrenches_by_hand():
     half = np.sqrt(0.5)
     # [cos, cos^2, 8 cos^2(t/2) - 5, 0.2 sin, 0.2 cos, sin^2(t/2)] of pi t
     by_hand = {
@@ -25,7 +25,7 @@ def test_the_papers_wrenches_by_hand() -> None:
     np.testing.assert_array_equal(wrench.constant(np.arange(6.0), 2), [np.arange(6.0)] * 2)
 
 
-def test_ball_is_filled_and_not_left() -> None:
+def test_ball_is_filled_and_not_left():
     sample = wrench.sample_ball(np.random.default_rng(0), 20_000, 2.0, 0.05)
     for part, radius in ((sample[:, :3], 2.0), (sample[:, 3:], 0.05)):
         norms = np.linalg.norm(part, axis=1) / radius
@@ -36,7 +36,7 @@ def test_ball_is_filled_and_not_left() -> None:
         assert np.abs(part.mean(axis=0) / radius).max() < 4.0 * np.sqrt(0.2 / 20_000)
 
 
-def test_magnitudes_are_log_uniform_in_range() -> None:
+def test_magnitudes_are_log_uniform_in_range():
     sample = wrench.sample_magnitudes(np.random.default_rng(1), 20_000, 0.1, 20.0)
     scaled = sample / np.repeat([1.0, 0.05], 3)
     sizes = np.linalg.norm(scaled, axis=1)
@@ -50,7 +50,7 @@ def test_magnitudes_are_log_uniform_in_range() -> None:
     assert np.abs(variance - 1.0 / 6.0).max() < 4.0 * 0.25 / np.sqrt(20_000)
 
 
-def test_path_stays_in_the_ball_and_moves_three_percent_a_step() -> None:
+def test_path_stays_in_the_ball_and_moves_three_percent_a_step():
     path = wrench.sample_path(np.random.default_rng(2), 3000, 0.03)
     for part, radius in ((path[:, :3], wrench.FORCE_RADIUS), (path[:, 3:], wrench.MOMENT_RADIUS)):
         assert np.linalg.norm(part, axis=1).max() <= radius * (1.0 + 1e-12)

@@ -154,7 +154,7 @@ def placed(positions: Any) -> Callable[[], Grasp]:
         ),
     ],
 )
-def test_wrong_input(call: Callable[[], object], message: str) -> None:
+def test_wrong_input(call, message):
     with pytest.raises(GraspError, match=message) as caught:
         call()
     told = str(caught.value)

@@ -27,7 +27,7 @@ NAMES = list(calls(Path("/nowhere")))
 
 
 @pytest.fixture(scope="module")
-def table(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Call]]:
+def table(tmp_path_factory):
     """The calls; a name that stands where a path belongs becomes a file in a folder of the tests."""
     folder = tmp_path_factory.mktemp("files")
     with pytest.MonkeyPatch.context() as patch:
@@ -36,7 +36,7 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Call]]
 
 
 @pytest.fixture(autouse=True)
-def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def _elsewhere(tmp_path, monkeypatch):
     """A wrong path may be a valid one, and is then written to."""
     monkeypatch.chdir(tmp_path)
 
@@ -66,7 +66,7 @@ def numbers(value: Any) -> Iterator[float]:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_good_arguments_are_answered(name: str, table: dict[str, Call]) -> None:
+def test_good_arguments_are_answered(name, table):
     answer = table[name].run(**table[name].good)
     assert not any(number != number for number in numbers(answer))
 
@@ -95,7 +95,5 @@ CHECKS = [HealthCheck.function_scoped_fixture, HealthCheck.too_slow, HealthCheck
     max_examples=10, deadline=None, derandomize=True, suppress_health_check=CHECKS, database=None
 )
 @given(data=st.data())
-def test_wrong_arguments_are_refused_in_words(
-    name: str, table: dict[str, Call], data: st.DataObject
-) -> None:
+def test_wrong_arguments_are_refused_in_words(name, table, data):
     spoil(name, table, data)

@@ -51,14 +51,14 @@ PAPER = np.array([1.0, 0.5, -0.6, -0.1, 0.2, 0.0])
         ([0.5, 3.0], "lie within 0 to 2, got 3 in it"),
     ],
 )
-def test_wrong_arrays(value: Any, told: str) -> None:
+def test_wrong_arrays(value, told):
     with pytest.raises(InvalidInputError, match=told) as caught:
         as_array(value, (2,), "masses", Range(0.0, 2.0))
     assert str(caught.value).startswith("masses must")
     assert len(str(caught.value)) < 1000
 
 
-def test_right_arrays() -> None:
+def test_right_arrays():
     for good in (
         [1, 2],
         (1.0, 2),
@@ -93,14 +93,14 @@ WRONG: list[tuple[Callable[[Any], Any], list[Any], str]] = [
 
 
 @pytest.mark.parametrize(("check", "values", "told"), WRONG)
-def test_wrong_values(check: Callable[[Any], Any], values: list[Any], told: str) -> None:
+def test_wrong_values(check, values, told):
     error = UnknownNameError if "choose one" in told else InvalidInputError
     for value in values:
         with pytest.raises(error, match=told):
             check(value)
 
 
-def test_right_values() -> None:
+def test_right_values():
     assert (
         whole(np.int8(3), "count", 0),
         flag(np.False_, "trace"),
@@ -112,7 +112,7 @@ def test_right_values() -> None:
     )
 
 
-def test_all_faults_are_told_at_once() -> None:
+def test_all_faults_are_told_at_once():
     with pytest.raises(InvalidInputError) as caught:
         optimize_force(
             CUBOID,
@@ -138,7 +138,7 @@ def test_all_faults_are_told_at_once() -> None:
 
 
 @pytest.mark.parametrize("name", ["wrench", "normals", "friction", "contacts"])
-def test_a_masked_array_never_loses_its_mask(name: str) -> None:
+def test_a_masked_array_never_loses_its_mask(name):
     """The solver reads plain arrays in place; a subclass is read by `as_array`, which refuses what
     numpy would uncover."""
     optimizer = ForceOptimizer(CUBOID)

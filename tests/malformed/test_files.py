@@ -81,8 +81,8 @@ STAND_INS = {
 
 @pytest.mark.parametrize("reader", READERS)
 def test_every_reader_refuses_in_words_and_names_what_people_have_in_place_of_a_file(
-    reader: str, tmp_path: Path
-) -> None:
+    reader, tmp_path
+):
     for kind, make in FILES.items():
         path = tmp_path / kind
         make(path)
@@ -102,7 +102,7 @@ def test_every_reader_refuses_in_words_and_names_what_people_have_in_place_of_a_
 @pytest.mark.parametrize(
     "text", [b"<robot/>", b"<htmlx/>", b"<!--a--><robot/>", b"version https://example.org/"]
 )
-def test_other_files_are_not(text: bytes) -> None:
+def test_other_files_are_not(text):
     assert stand_in(text) == ("", "")
 
 
@@ -113,7 +113,7 @@ MJCF = (
 
 
 @pytest.mark.parametrize("kind", ["stl", "obj", "dae"])
-def test_meshes_of_a_hand_that_are_pointers_are_named(kind: str, tmp_path: Path) -> None:
+def test_meshes_of_a_hand_that_are_pointers_are_named(kind, tmp_path):
     (tmp_path / "meshes").mkdir()
     mesh = tmp_path / "meshes" / f"a.{kind}"
     mesh.write_bytes(POINTER)
@@ -139,7 +139,7 @@ def test_meshes_of_a_hand_that_are_pointers_are_named(kind: str, tmp_path: Path)
         '<mesh name="a" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/><texture name="t" type="2d" file="a.stl" content_type="image/png"/>',
     ],
 )
-def test_files_of_a_mujoco_model_that_are_pointers_are_named(asset: str, tmp_path: Path) -> None:
+def test_files_of_a_mujoco_model_that_are_pointers_are_named(asset, tmp_path):
     (tmp_path / "meshes").mkdir()
     (tmp_path / "meshes" / "a.stl").write_bytes(POINTER)
     (tmp_path / "own").mkdir()
@@ -149,7 +149,7 @@ def test_files_of_a_mujoco_model_that_are_pointers_are_named(asset: str, tmp_pat
             HandDescription.from_file(folder / "hand.xml")
 
 
-def test_sdf_is_named(tmp_path: Path) -> None:
+def test_sdf_is_named(tmp_path):
     (tmp_path / "model.sdf").write_text(
         '<?xml version="1.0"?><sdf version="1.6"><model name="hand"/></sdf>'
     )
@@ -160,7 +160,7 @@ def test_sdf_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", ["", "\0", None])
-def test_what_is_no_path(path: Any) -> None:
+def test_what_is_no_path(path):
     with pytest.raises(OSError, match=r"not a path|No such file"):
         read_bytes(path)
     for reader in ("grasp", "urdf"):
@@ -168,7 +168,7 @@ def test_what_is_no_path(path: Any) -> None:
             READERS[reader](path)
 
 
-def test_a_file_or_pipe_that_is_too_large_is_refused(tmp_path: Path) -> None:
+def test_a_file_or_pipe_that_is_too_large_is_refused(tmp_path):
     path = tmp_path / "large"
     pipe = tmp_path / "pipe"
     path.write_bytes(b"x" * 11)
@@ -194,7 +194,7 @@ def grasp(*words: str, text: str = "") -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_the_command_reads_what_is_piped_into_it_and_refuses_a_folder(tmp_path: Path) -> None:
+def test_the_command_reads_what_is_piped_into_it_and_refuses_a_folder(tmp_path):
     text = save_grasp(presets.tripod(), tmp_path / "grasp.json").read_text()
     wrench = ("--wrench", "0", "0", "-1", "0", "0", "0", "--method", "newton")
     assert grasp("solve", "--grasp", "/dev/stdin", *wrench, text=text).returncode == 0
@@ -221,9 +221,7 @@ def test_the_command_reads_what_is_piped_into_it_and_refuses_a_folder(tmp_path: 
     ],
     ids=" ".join,
 )
-def test_commands_given_wrong_numbers(
-    words: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_commands_given_wrong_numbers(words, tmp_path, capsys):
     out = () if words[0] in ("solve", "report", "demo") else ("--out", str(tmp_path))
     try:
         code = main([*words, *out])

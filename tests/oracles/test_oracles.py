@@ -6,13 +6,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from oracles import geometry, newton, phi
-from problems import PROBLEMS, Problem
+from problems import PROBLEMS
 
 WEIGHTS = np.array([[1.0, 0.01], [0.3, 2.0], [2.5, 1e-3]])
 X = np.array([1.0, 0.3, -0.2, 0.4, 0.1, 0.35, 2.0, 0.0, 0.0], dtype=np.longdouble)
 
 
-def test_derivatives_by_differences() -> None:
+def test_derivatives_by_differences():
     h = np.longdouble(1e-6)
     for k, e in enumerate(np.eye(9, dtype=np.longdouble)):
         slope = (phi.phi(X + h * e, WEIGHTS) - phi.phi(X - h * e, WEIGHTS)) / (2 * h)
@@ -35,7 +35,7 @@ def test_derivatives_by_differences() -> None:
 
 
 @pytest.mark.parametrize("problem", PROBLEMS, ids=str)
-def test_optima_are_those_of_the_named_problems(problem: Problem) -> None:
+def test_optima_are_those_of_the_named_problems(problem):
     grasp = problem.grasp
     weights = np.tile([problem.force_weight, problem.barrier_weight], (grasp.n_contacts, 1))
     frames = np.array([geometry.frame(n) for n in grasp.normals])

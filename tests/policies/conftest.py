@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from contextlib import nullcontext
 
 import pytest
@@ -11,14 +10,14 @@ from layer_problems import Passing
 
 
 @pytest.fixture(params=["in place", "operators"])
-def way(request: pytest.FixtureRequest) -> Iterator[None]:
+def way(request):
     """The way of the inputs to the core."""
     with Passing() if request.param == "operators" else nullcontext():
         yield
 
 
 @pytest.fixture
-def one_thread() -> Iterator[None]:
+def one_thread():
     """One thread of torch."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)

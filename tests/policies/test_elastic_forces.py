@@ -64,9 +64,7 @@ def moved(a: Tensor, b: Tensor) -> Tensor:
 
 @pytest.mark.parametrize("batch", [20, pytest.param(250, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("limits", LIMITS)
-def test_elastic_forces_have_their_last_digits_and_the_slopes_of_these(
-    limits: str, batch: int
-) -> None:
+def test_elastic_forces_have_their_last_digits_and_the_slopes_of_these(limits, batch):
     for contacts in (3, 4, 5, 6):
         given = human(limits, contacts, batch)
         found, error, declared = slopes(given, LIMITS[limits])
@@ -80,7 +78,7 @@ def test_elastic_forces_have_their_last_digits_and_the_slopes_of_these(
             assert moved(other.force, found.force)[~declared].max() < 1e-6
 
 
-def test_a_force_that_has_not_converged_has_no_gradient() -> None:
+def test_a_force_that_has_not_converged_has_no_gradient():
     """With barriers a millionth of the usual, the penalties are too steep for the digits of most
     forces. The others have right slopes."""
     given = human("normals", 4, 40, seed=3)
@@ -101,7 +99,7 @@ KINDS = {
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_elastic_forces_are_least_and_their_multipliers_are_slopes(kind: str) -> None:
+def test_elastic_forces_are_least_and_their_multipliers_are_slopes(kind):
     given = KINDS[kind]()
     rng = np.random.default_rng(0)
     step = 1e-4
@@ -145,7 +143,7 @@ def test_elastic_forces_are_least_and_their_multipliers_are_slopes(kind: str) ->
             assert other > least * (1.0 - 1e-15)
 
 
-def test_other_forces_exceed_the_limits_no_less() -> None:
+def test_other_forces_exceed_the_limits_no_less():
     given = human("normals", 4, 24, seed=2)
     found = elastic(**given)
     exceeding = (found.status == 5).nonzero().flatten().tolist()
@@ -170,7 +168,7 @@ def test_other_forces_exceed_the_limits_no_less() -> None:
 
 
 @pytest.mark.parametrize("limits", LIMITS)
-def test_gradients_of_optima_just_within_their_limits(limits: str) -> None:
+def test_gradients_of_optima_just_within_their_limits(limits):
     for contacts in (3, 4, 5, 6):
         given = almost_infeasible(limits, contacts, 40)
         found, error, without = slopes(given, LIMITS[limits])

@@ -22,7 +22,7 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_forces_are_those_of_the_optimizer(kind: str) -> None:
+def test_forces_are_those_of_the_optimizer(kind):
     given = problems(kind, 4)
     result = grasp_force(**given)
     assert result.status.tolist() == [0] * 4
@@ -58,7 +58,7 @@ def test_forces_are_those_of_the_optimizer(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", [*KINDS, "exceeded", "unbalanced"])
-def test_gradients_are_those_of_differences(kind: str) -> None:
+def test_gradients_are_those_of_differences(kind):
     """All inputs at once, along random directions; elastic answers included."""
     given = problems(kind, 2)
     # infinite limits and hard contacts stay
@@ -77,7 +77,7 @@ def test_gradients_are_those_of_differences(kind: str) -> None:
     assert torch.autograd.gradcheck(answers, leaves, eps=1e-6, atol=1e-6, rtol=1e-6, fast_mode=True)
 
 
-def test_a_force_is_found_exactly_where_one_exists() -> None:
+def test_a_force_is_found_exactly_where_one_exists():
     """Three soft contacts without force closure, against another algorithm."""
     draw = torch.Generator().manual_seed(1)
     normals = torch.randn(40, 3, 3, generator=draw, dtype=torch.float64)
@@ -115,7 +115,7 @@ SPOILED = [
 
 
 @pytest.mark.usefixtures("way")
-def test_an_element_does_not_disturb_its_neighbours() -> None:
+def test_an_element_does_not_disturb_its_neighbours():
     given = problems("soft", 300)
     given["friction"][3] = given["torsional_friction"][3] = 1e-4  # nothing balances this wrench
     good = torch.ones(len(given["wrench"]), dtype=torch.bool)
@@ -141,7 +141,7 @@ def test_an_element_does_not_disturb_its_neighbours() -> None:
 
 @pytest.mark.usefixtures("way")
 @pytest.mark.parametrize("kind", ["exceeded", "own exceeded", "unbalanced"])
-def test_elements_without_an_optimum(kind: str) -> None:
+def test_elements_without_an_optimum(kind):
     bad = problems(kind, 2)
     count = 2 if kind == "unbalanced" else 4
     masked, by = gradients(bad)
@@ -174,7 +174,7 @@ def test_elements_without_an_optimum(kind: str) -> None:
 
 
 @pytest.mark.usefixtures("way")
-def test_shared_inputs_broadcast_and_sum_their_gradients() -> None:
+def test_shared_inputs_broadcast_and_sum_their_gradients():
     given = problems("hard", 6)
     shared = {name: a[0].clone().requires_grad_() for name, a in given.items() if name != "wrench"}
     result = grasp_force(**shared, wrench=given["wrench"].view(2, 3, 6))
@@ -191,7 +191,7 @@ def test_shared_inputs_broadcast_and_sum_their_gradients() -> None:
 
 
 @pytest.mark.usefixtures("way")
-def test_a_start_saves_iterations_which_are_limited() -> None:
+def test_a_start_saves_iterations_which_are_limited():
     given = problems("shared joints", 8)
     cold = grasp_force(**given)
     given["wrench"] = given["wrench"] + 1e-4
@@ -243,14 +243,14 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize("case", WRONG)
-def test_errors_name_what_is_wrong(case: str) -> None:
+def test_errors_name_what_is_wrong(case):
     changed, words = WRONG[case]
     kind = UnknownNameError if case == "mode" else InvalidInputError
     with pytest.raises(kind, match=words):
         grasp_force(**{**problems("hard", 1), **changed})
 
 
-def test_a_small_barrier_weight_approaches_the_exact_problem() -> None:
+def test_a_small_barrier_weight_approaches_the_exact_problem():
     """The page on gradients quotes these distances of sum and gradient of the normal forces from
     the conic optimum."""
     grasp = presets.paper_cuboid()
@@ -274,7 +274,7 @@ def test_a_small_barrier_weight_approaches_the_exact_problem() -> None:
     np.testing.assert_allclose(excess, (0.15, 0.0145, 0.00145), rtol=0.02)
 
 
-def test_two_contacts_have_forces_and_gradients_within_their_reach() -> None:
+def test_two_contacts_have_forces_and_gradients_within_their_reach():
     pinch = Grasp.from_contacts(
         [[0, 0.03, 0.01], [0.002, -0.03, 0]],
         [[0, -1, 0.1], [0, 1, 0]] / np.array([[1.005], [1]]),

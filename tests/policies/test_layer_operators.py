@@ -44,7 +44,7 @@ LAYOUTS: dict[str, Callable[[dict[str, Tensor]], dict[str, Tensor]]] = {
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_every_layout_is_read(layout: str) -> None:
+def test_every_layout_is_read(layout):
     given = LAYOUTS[layout](problems("own joints", 6))
     result, by = gradients(given, max_normal=50.0)
     limit = torch.tensor(50.0, dtype=torch.float64)
@@ -67,7 +67,7 @@ def test_every_layout_is_read(layout: str) -> None:
 
 
 @pytest.mark.usefixtures("way")
-def test_what_is_saved_for_the_backward_pass() -> None:
+def test_what_is_saved_for_the_backward_pass():
     given = {name: a.requires_grad_() for name, a in problems("hard", 2).items()}
     result = grasp_force(**given)
     assert [a.requires_grad for a in result] == [True] * 3 + [False] * 5
@@ -83,7 +83,7 @@ def test_what_is_saved_for_the_backward_pass() -> None:
 
 
 @pytest.mark.usefixtures("way")
-def test_types() -> None:
+def test_types():
     """float32 in, float32 out, float64 inside; half types become float32, also under autocast.
 
     A number, or a tensor without axes, takes the type of the others.
@@ -118,7 +118,7 @@ def test_types() -> None:
 
 
 @pytest.mark.usefixtures("way")
-def test_gradients_of_the_forces_are_read_in_any_layout() -> None:
+def test_gradients_of_the_forces_are_read_in_any_layout():
     given = problems("hard", 3)
     wrench = given.pop("wrench").requires_grad_()
     loss = torch.randn(3, 4, 3, dtype=torch.float64)
@@ -129,7 +129,7 @@ def test_gradients_of_the_forces_are_read_in_any_layout() -> None:
         assert torch.equal(torch.autograd.grad(force, wrench, same, retain_graph=True)[0], plain)
 
 
-def test_transforms() -> None:
+def test_transforms():
     given = problems("soft", 3)
     wrench = given.pop("wrench")
     others = {name: a[0] for name, a in given.items()}
@@ -161,7 +161,7 @@ def test_transforms() -> None:
 
 
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
-def test_tensors_on_another_device_are_solved_on_the_cpu(dtype: torch.dtype) -> None:
+def test_tensors_on_another_device_are_solved_on_the_cpu(dtype):
     """torch's builds for the CPU have a second device that computes, `lazy`: answers and gradients
     come back to it."""
     start_lazy_device()
@@ -187,7 +187,7 @@ def test_tensors_on_another_device_are_solved_on_the_cpu(dtype: torch.dtype) -> 
 @pytest.mark.filterwarnings(
     "ignore:.*torch.jit.script:DeprecationWarning"
 )  # torch's own, on the way to forward mode
-def test_forward_mode_is_refused() -> None:
+def test_forward_mode_is_refused():
     given = problems("hard", 2)
     with torch.autograd.forward_ad.dual_level():
         given["wrench"] = torch.autograd.forward_ad.make_dual(given["wrench"], given["wrench"])
@@ -195,7 +195,7 @@ def test_forward_mode_is_refused() -> None:
             grasp_force(**given)
 
 
-def test_operators_pass_the_check_of_torch() -> None:
+def test_operators_pass_the_check_of_torch():
     given = problems("soft", 2)
     given["positions"] = given["positions"].float()  # as is its gradient
     tensors = [given.get(name) for name in layer_inputs.NAMES]
@@ -211,7 +211,7 @@ def test_operators_pass_the_check_of_torch() -> None:
     )
 
 
-def test_modules_are_copied_and_used_by_workers() -> None:
+def test_modules_are_copied_and_used_by_workers():
     module = GraspForceLayer("elastic", tolerance=1e-8, chunk=100)
     given = problems("hard", 2)
     assert "infeasible='elastic', tolerance=1e-08, max_iterations=200, chunk=100" in repr(module)

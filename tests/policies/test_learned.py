@@ -27,7 +27,7 @@ both = pytest.mark.parametrize("method", ["reduced_flow", "newton"])
 
 
 @pytest.fixture(scope="module")
-def rule() -> LearnedInitialForce:
+def rule():
     return LearnedInitialForce.pretrained()
 
 

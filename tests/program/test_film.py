@@ -55,7 +55,7 @@ class Squares(gym.Env[np.ndarray, np.ndarray]):
 
 
 @pytest.fixture(autouse=True)
-def _registered() -> Any:
+def _registered():
     gym.register(ENV, entry_point=Squares, disable_env_checker=True)
     yield
     del gym.registry[ENV]

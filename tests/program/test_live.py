@@ -10,7 +10,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -44,7 +44,7 @@ EYE = np.array([4.0, 2.5, 5.0])
 
 
 @pytest.fixture
-def bare() -> Iterator[BareContacts]:
+def bare():
     page = BareContacts(0, GRASP, LOAD, "newton", rule)
     page.draw()
     yield page
@@ -52,7 +52,7 @@ def bare() -> Iterator[BareContacts]:
 
 
 @pytest.fixture
-def hand() -> Iterator[SimulatedHand]:
+def hand():
     page = SimulatedHand(
         0, EnvConfig().override(hand=HANDS["four_finger"](), method="newton"), rule
     )

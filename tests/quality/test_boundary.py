@@ -194,7 +194,7 @@ def trial(seed: int, problems: int) -> tuple[Counter[str], list[str]]:
 
 
 @pytest.mark.parametrize("problems", [400, pytest.param(10_000, marks=pytest.mark.slow)])
-def test_all_methods_agree(problems: int) -> None:
+def test_all_methods_agree(problems):
     counts, notes = trial(SEED, problems)
     print("\n".join(notes[:50]), *sorted(counts.items()), sep="\n")
     assert not notes
@@ -206,7 +206,7 @@ def test_all_methods_agree(problems: int) -> None:
     assert counts["sum stalled"] + counts["max stalled"] <= 0.002 * problems
 
 
-def test_a_load_over_the_edge_of_its_supports() -> None:
+def test_a_load_over_the_edge_of_its_supports():
     """A weight above the line between two supports, a nanometre inside or outside, is held; a
     micrometre outside it is not."""
     supports = np.array([[0.05, 0.0, 0.0], [-0.05, 0.05, 0.0], [-0.05, -0.05, 0.0]])
@@ -226,7 +226,7 @@ def test_a_load_over_the_edge_of_its_supports() -> None:
 
 @pytest.mark.parametrize("most", [0, 1, 3, 10, 30, 100])
 @pytest.mark.parametrize("name", METHODS)
-def test_the_largest_number_of_steps_holds_at_the_boundary(name: str, most: int) -> None:
+def test_the_largest_number_of_steps_holds_at_the_boundary(name, most):
     """For the search from a carried start, its replacement, and the optimum just inside together."""
     supports = np.array(
         [[0.05, 0.0, 0.0], [-0.05, 0.05, 0.0], [-0.05, -0.05, 0.0], [-0.06, 0.01, 0.01]]

@@ -28,7 +28,7 @@ def assert_certificate(grasp: Grasp, wrench: np.ndarray, twist: np.ndarray) -> N
     assert Reference(grasp).proof(twist, wrench) >= -1e-7
 
 
-def test_verdicts_against_linear_programs() -> None:
+def test_verdicts_against_linear_programs():
     rng = np.random.default_rng(41)
     verdicts = {True: 0, False: 0}
     undecided = 0
@@ -64,7 +64,7 @@ def test_verdicts_against_linear_programs() -> None:
 
 @pytest.mark.parametrize("model", ["hard", "soft"])
 @pytest.mark.parametrize("what", ["normals", "own joints", "shared joints", "bias"])
-def test_without_closure_nothing_needs_no_limit(what: str, model: str) -> None:
+def test_without_closure_nothing_needs_no_limit(what, model):
     rng = np.random.default_rng(3)
     jacobian = (
         0.05 * rng.standard_normal((4, 3, 5)) if what == "shared joints" else own_joints(rng, 4)
@@ -87,7 +87,7 @@ def test_without_closure_nothing_needs_no_limit(what: str, model: str) -> None:
     assert Reference(palm).proof(solution.certificate, NOTHING) >= -1e-7
 
 
-def test_closure_against_linear_programs() -> None:
+def test_closure_against_linear_programs():
     rng = np.random.default_rng(11)
     verdicts = {True: 0, False: 0}
     for k in range(24):
@@ -123,7 +123,7 @@ def test_closure_against_linear_programs() -> None:
     assert min(verdicts.values()) > 4
 
 
-def test_margins_by_hand_and_soft_contacts() -> None:
+def test_margins_by_hand_and_soft_contacts():
     pinch = Grasp.from_contacts(
         [[0, 0, -0.02], [0, 0, 0.02]],
         [[0, 0, 1], [0, 0, -1]],
@@ -152,7 +152,7 @@ def test_margins_by_hand_and_soft_contacts() -> None:
     assert_certificate(alone, NOTHING, force_closure(alone).twist)
 
 
-def test_closure_within_limits() -> None:
+def test_closure_within_limits():
     limits, impossible = (
         ForceLimits(min_normal=[0.0, 2.0, 2.0, 2.0], max_normal=most) for most in (7.0, 5.0)
     )
@@ -176,7 +176,7 @@ def test_closure_within_limits() -> None:
 
 
 @pytest.mark.parametrize("size", [1e-2, 1e-6, 1e-10, 1e-16])
-def test_grasps_next_to_a_symmetric_one(size: float) -> None:
+def test_grasps_next_to_a_symmetric_one(size):
     """The margin of unit normals that nearly balance is unbounded but for its own bound."""
     rng = np.random.default_rng(1)
     preset = presets.five_finger_cuboid()
@@ -187,7 +187,7 @@ def test_grasps_next_to_a_symmetric_one(size: float) -> None:
     assert grasp.residual(force, NOTHING) < 1e-12 * np.abs(force).max()
 
 
-def test_a_start_that_does_not_exist_has_the_prices_of_its_proof() -> None:
+def test_a_start_that_does_not_exist_has_the_prices_of_its_proof():
     shared = 0.05 * np.random.default_rng(3).standard_normal((4, 3, 5))
     limits = ForceLimits(jacobian=shared, torque_limit=0.1)
     optimizer = ForceOptimizer(CUBOID, limits=limits)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from itertools import combinations
 
@@ -35,7 +34,7 @@ def scaled(grasp: Grasp) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("friction", "part"), [(0.5, 0.25), (1.5, 1.2)])
-def test_two_opposed_soft_fingers(friction: float, part: float) -> None:
+def test_two_opposed_soft_fingers(friction, part):
     """Least: torsion about the axis, or a sideways force at one finger: n = mu a, F_t = M_t = a,
     resisted by mu a."""
     soft = {"contact_model": "soft", "torsional_friction": 0.02 * part}
@@ -48,7 +47,7 @@ def test_two_opposed_soft_fingers(friction: float, part: float) -> None:
     assert found.upper / found.lower < 1.01
 
 
-def test_symmetric_tripod() -> None:
+def test_symmetric_tripod():
     # four directions carried by three contacts each, the moments about x and y by z forces times
     # cosines
     np.testing.assert_allclose(
@@ -84,7 +83,7 @@ def frictionless(rng: np.random.Generator) -> Grasp:
             return grasp
 
 
-def test_frictionless_grasps_have_exact_facets() -> None:
+def test_frictionless_grasps_have_exact_facets():
     grasp = frictionless(np.random.default_rng(0))
     columns = scaled(grasp)[:, ::3]
     # a zonotope for the largest force: five columns span each of its facets
@@ -102,7 +101,7 @@ def test_frictionless_grasps_have_exact_facets() -> None:
 
 
 @pytest.mark.parametrize("shape", ["ellipsoid", "product"])
-def test_no_wrench_of_the_ball_is_worse(shape: str) -> None:
+def test_no_wrench_of_the_ball_is_worse(shape):
     ball = WrenchBall(2.0, 0.05, shape)
     worst = worst_case(UNEVEN, ball, starts=8)
     assert worst.lower <= worst.least_force <= worst.upper <= worst.lower * 1.01
@@ -125,7 +124,7 @@ def test_no_wrench_of_the_ball_is_worse(shape: str) -> None:
 
 
 @pytest.mark.parametrize("criterion", ["sum", "max"])
-def test_without_force_closure(criterion: str) -> None:
+def test_without_force_closure(criterion):
     palm = Grasp.from_contacts(CUBOID.positions, [[0, 0, 1]] * 4, 0.4)
     assert epsilon(palm, criterion=criterion)[:2] == (0.0, 0.0)
     worst = worst_case(palm, WrenchBall(1.0, 0.05), criterion)
@@ -136,7 +135,7 @@ def test_without_force_closure(criterion: str) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:overflow:RuntimeWarning", "ignore:invalid value:RuntimeWarning")
-def test_limits() -> None:
+def test_limits():
     ball = WrenchBall(1.0, 0.05, "product")
     free = worst_case(CUBOID, ball, starts=8)
     loose, tight = (
@@ -168,9 +167,7 @@ def worst_sampled(optimizer: ForceOptimizer, ball: WrenchBall) -> float:
     "grasp", [CUBOID, presets.tripod(), UNEVEN], ids=["cuboid", "tripod", "uneven"]
 )
 @pytest.mark.parametrize("moment", [0.03, 0.02])
-def test_the_bound_within_limits_holds_where_the_ascent_fails(
-    grasp: Grasp, moment: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_bound_within_limits_holds_where_the_ascent_fails(grasp, moment, monkeypatch):
     """Without an ascent the lower bound is that of an axis; the upper bound comes from the
     polytope, and has to hold all the same."""
     monkeypatch.setattr(
@@ -187,7 +184,7 @@ def test_the_bound_within_limits_holds_where_the_ascent_fails(
 
 
 @pytest.mark.parametrize("shape", ["ellipsoid", "product"])
-def test_ball_reaches_and_its_polytope_encloses_it(shape: str) -> None:
+def test_ball_reaches_and_its_polytope_encloses_it(shape):
     ball = WrenchBall(2.0, 0.05, shape)
     directions = np.random.default_rng(8).standard_normal((200, 6)) / ball.radii
     reach = ball.reach(directions)
@@ -231,6 +228,6 @@ def test_ball_reaches_and_its_polytope_encloses_it(shape: str) -> None:
         (partial(quality, "grasp"), "a Grasp is needed"),
     ],
 )
-def test_wrong_input(call: Callable[[], object], message: str) -> None:
+def test_wrong_input(call, message):
     with pytest.raises(GraspError, match=message):
         call()
