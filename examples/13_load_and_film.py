@@ -38,7 +38,7 @@ for name, policy in {"agent": agent, "the paper's start": ZeroPolicy()}.items():
 
 short = {"render_mode": "rgb_array", "duration": 0.6, "pictures": {"size": (320, 320)}}
 env = gym.make("grasp_env:FourFingerGrasp-v0", config=settings, **short)
-(observation, info) = env.reset(seed=1_000_000)
+observation, info = env.reset(seed=1_000_000)
 over = False
 iterations = []
 frames = []

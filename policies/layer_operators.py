@@ -157,7 +157,7 @@ def raise_for(status: Tensor, lead: Sequence[int]) -> None:
 
 def _solve_impl(*args: Any) -> Solved:
     tensors = args[:_TENSORS]
-    (infeasible, *options) = args[_TENSORS:]
+    infeasible, *options = args[_TENSORS:]
     lead = common_lead(tensors)
     out = optima(_read(tensors), *options) if lead.numel() else _solve_fake(*args)
     if infeasible == "raise":
@@ -174,8 +174,8 @@ def _solve_fake(*args: Any) -> Solved:
 
 def _gradients_impl(*args: Any) -> list[Tensor]:
     tensors = args[:INPUTS]
-    (state, *losses) = args[INPUTS:-3]
-    (needed, elastic, chunk) = args[-3:]
+    state, *losses = args[INPUTS:-3]
+    needed, elastic, chunk = args[-3:]
     if not state.numel():
         return [a.new_zeros(a.shape) for a, w in zip(tensors, needed, strict=True) if w]
     # the start may have had more dimensions

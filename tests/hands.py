@@ -77,7 +77,7 @@ def mass_matrix(kinematics: HandKinematics, angles: np.ndarray) -> np.ndarray:
     """Return the mass matrix (M, M) from the links' masses and inertias; coupled joints load their
     driver."""
     hand = kinematics.hand
-    (frames, origins) = kinematics.links(angles)
+    frames, origins = kinematics.links(angles)
     numbers = {link.name: index for index, link in enumerate(hand.links)}
     turning = np.zeros((hand.joint_count, 3, hand.joint_count))
     total = np.zeros((hand.joint_count,) * 2)

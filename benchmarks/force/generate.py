@@ -371,7 +371,7 @@ def _next_to_losing_closure(rng: np.random.Generator, count: int, above: float) 
     """Draw a grasp whose friction is this share above the least with which it closes."""
     while True:
         grasp = GRASPS.closed(rng, count)
-        (low, high) = (1e-3, 1.0)
+        low, high = (1e-3, 1.0)
 
         def closes(friction: float, grasp: Grasp = grasp) -> bool:
             return feasibility(grasp.with_friction(friction), np.zeros(6)).margin > 0.0

@@ -83,7 +83,7 @@ class Bullet(Simulator):
     def advance(self, torques: list[float], wrench: list[float] | None) -> None:
         """See `Simulator`."""
         client = self.client.number
-        (hand, body, joints) = self.world
+        hand, body, joints = self.world
         self._recorded = () if self._steps > 1 else None
         for _ in range(self._steps):  # Bullet clears torques and wrenches after each step
             bullet.setJointMotorControlArray(
@@ -101,7 +101,7 @@ class Bullet(Simulator):
     def read(self) -> Array:
         """See `Simulator`."""
         client = self.client.number
-        (hand, body, joints) = self.world
+        hand, body, joints = self.world
         states = bullet.getJointStates(hand, joints, client)
         pose = bullet.getBasePositionAndOrientation(body, client)
         velocity = bullet.getBaseVelocity(body, client)

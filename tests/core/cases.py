@@ -147,7 +147,7 @@ class Case:
     def terms(self) -> oracle.Terms:
         """All rows: the limits, then v <= u and -v <= u of soft contacts."""
         which = np.flatnonzero(self.soft)
-        (rows, bound, _) = self.own
+        rows, bound, _ = self.own
         torsion = np.zeros((2 * len(which), self.count, 4))
         for k, i in enumerate(which):
             torsion[2 * k : 2 * k + 2, i, 0], torsion[2 * k : 2 * k + 2, i, 3] = -1.0, (1.0, -1.0)

@@ -60,7 +60,7 @@ def test_a_learned_start_is_the_networks_force_or_a_better_one(count, size):
             safe = c.z(solver.start(load, START["internal_force"]), "initial")
             for before in (None, previous):
                 row = solver.start(load, previous=before)
-                (solved, _) = solver.solve(load, previous=before)
+                solved, _ = solver.solve(load, previous=before)
                 for start in (c.z(row, "initial"), c.z(solved, "initial")):
                     assert phi(start, s.weights) <= phi(safe, s.weights) * (1.0 + 1e-12)
                     left = np.abs(s.rows @ start + w).max()

@@ -67,7 +67,7 @@ def test_infeasible_is_proven_or_exceeded_least(count, what, free):
             feasible += 1
             continue
         twist = nu_of(row)
-        (_, multipliers) = c.torques_and_multipliers(row)
+        _, multipliers = c.torques_and_multipliers(row)
         assert np.abs(twist).max() == pytest.approx(1.0)
         assert (multipliers >= 0.0).all()
         np.testing.assert_array_equal(row[FIELDS["force"] : len(row) - len(multipliers)], 0.0)

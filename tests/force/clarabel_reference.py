@@ -149,7 +149,7 @@ class Reference:
     def phi(self, force: Array, torsion: Array, omega: Weight = 1.0, lam: Weight = 0.01) -> float:
         """Phi by the eigenvalues of P and the distances to soft contacts' torsion and to limits;
         +inf outside."""
-        (mu, sizes, spin) = self._scaled()
+        mu, sizes, spin = self._scaled()
         n = force[:, 0]
         prices, lambdas, of_rows = self._weights(omega, lam)
         u = mu * n

@@ -104,7 +104,7 @@ def shifted(grasp: Grasp, wrench: np.ndarray, rng: Generator) -> Same:
 
 def permuted(grasp: Grasp, wrench: np.ndarray, rng: Generator) -> Same:
     order = rng.permutation(grasp.n_contacts)
-    (friction, gamma) = rubbing(grasp)
+    friction, gamma = rubbing(grasp)
     names = [grasp.models.names[k] for k in order]
     positions = grasp.positions[order]
     normals = grasp.normals[order]

@@ -122,7 +122,7 @@ def compared(p: Drawn, reference: Reference, found: ForceSolution, method: str) 
         below = found.lower_bound <= want * (1.0 + 1e-5) + 1e-7
         return "exceeded" if near and below else "wrong: not the least excess"
     if method == "newton":
-        (least, error) = reference.least_phi(p.wrench, *p.weights)
+        least, error = reference.least_phi(p.wrench, *p.weights)
         tolerance = 1e-4
         value = reference.phi(found.force, found.torsion, *p.weights)
     else:

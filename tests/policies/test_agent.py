@@ -35,7 +35,7 @@ NORMALISER = {
 def parts(algorithm: str) -> dict[str, np.ndarray]:
     """Random weights of two hidden layers."""
     rng = np.random.default_rng(0)
-    (hidden, last, _) = NAMES[algorithm]
+    hidden, last, _ = NAMES[algorithm]
     sizes = {f"{hidden}.0": (8, SEEN), f"{hidden}.2": (5, 8), last: (ACTIONS, 5)}
     if algorithm == "sac":
         sizes["actor.log_std"] = (ACTIONS, 5)
@@ -58,7 +58,7 @@ def saved(folder, steps=1, algorithm="ppo", weights=None, **changes):
 @pytest.mark.parametrize("algorithm", ["ppo", "sac"])
 def test_actions_are_those_of_numpy(algorithm, tmp_path):
     weights = parts(algorithm)
-    (hidden, last, _) = NAMES[algorithm]
+    hidden, last, _ = NAMES[algorithm]
     saved(tmp_path, algorithm=algorithm)
     agent = TrainedAgent.load(tmp_path)
     seen = np.random.default_rng(1).normal(size=(500, SEEN))

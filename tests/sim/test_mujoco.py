@@ -131,7 +131,7 @@ def test_kinematics_and_dynamics_are_the_cores(maker):
     hand = maker()
     kinematics = HandKinematics(hand)
     simulator = alone(hand, gravity=tuple(GRAVITY))
-    (_, ends) = coupled(hand)
+    _, ends = coupled(hand)
     model, data = simulator.model, simulator.data
     joints = [model.joint(f"link{index}") for index in range(hand.joint_count)]
     places = [joint.qposadr[0] for joint in joints]
@@ -178,7 +178,7 @@ def test_drivers_hold_coupled_and_sliding_joints():
     hand = crooked_hand()
     kinematics = HandKinematics(hand)
     simulator = alone(hand, gravity=tuple(GRAVITY))
-    (shift, ends) = coupled(hand)
+    shift, ends = coupled(hand)
 
     def pushed(steps: int, more: list[float]) -> np.ndarray:
         for _ in range(steps):

@@ -54,7 +54,7 @@ def centers(count: int, low: float = 0.0, high: float = 0.09) -> np.ndarray:
 def inside(item: ObjectDescription, x: np.ndarray) -> np.ndarray:
     """A function of points (..., 3) that is >= 0 inside, by the definition of the shape."""
     size = np.array(item.size) / 2
-    (radius, along) = (np.hypot(x[..., 0], x[..., 2]), np.abs(x[..., 1]))
+    radius, along = (np.hypot(x[..., 0], x[..., 2]), np.abs(x[..., 1]))
     if item.shape == "cuboid":
         return (size - np.abs(x)).min(axis=-1)
     if item.shape == "cylinder":

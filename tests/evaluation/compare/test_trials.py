@@ -209,7 +209,7 @@ def test_slopes_are_differences_along_a_path():
 
 def test_timed_calls_begin_at_the_compared_starts(starts):
     grasp = presets.paper_cuboid()
-    (first, second) = wrench.sample_ball(np.random.default_rng(5), 2)
+    first, second = wrench.sample_ball(np.random.default_rng(5), 2)
     paper = PHI.value(grasp.to_cone(starts["linear_combination"].start(grasp, second, None)))
     for key, made in starts.items():
         loop = ForceOptimizer(grasp, method="reduced_flow", **made.options)

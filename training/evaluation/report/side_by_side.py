@@ -68,7 +68,7 @@ def _row(first: np.ndarray, second: np.ndarray, by_ratio: bool) -> dict[str, Any
             change = low = high = 1.0
     else:
         change = float((second - first).mean())
-        (low, high) = mean_interval(second - first)
+        low, high = mean_interval(second - first)
         level = 0.0
         middles = (first.mean(), second.mean())
     verdict = "tie" if low <= level <= high else "lower" if high < level else "higher"
