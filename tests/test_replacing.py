@@ -252,11 +252,7 @@ def full(monkeypatch):
     ],
 )
 def test_commands_say_that_the_disk_is_full_and_how_to_mend_it(
-    words,
-    name,
-    tmp_path,
-    monkeypatch,
-    capsys,
+    words, name, tmp_path, monkeypatch, capsys
 ):
     monkeypatch.chdir(tmp_path)
     assert main(words.split()) == 2

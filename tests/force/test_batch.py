@@ -16,11 +16,7 @@ import pytest
 from force.named import attempt
 from problems import random_grasp
 
-from grasp_env.errors import (
-    InfeasibleWrenchError,
-    NotConvergedError,
-    RankDeficientGraspError,
-)
+from grasp_env.errors import InfeasibleWrenchError, NotConvergedError, RankDeficientGraspError
 from grasp_env.force import ForceLimits, ForceOptimizer, Status, optimize_force, optimize_forces
 from grasp_env.force.many import CHUNK
 from grasp_env.force.record import INFEASIBLE, RANK_LOST, UNDECIDED

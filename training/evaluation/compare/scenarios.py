@@ -102,7 +102,7 @@ CURVES: dict[str, dict[str, Any]] = {
 MARGINS = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 1.0)
 SQUEEZES = (10.0, 20.0, 40.0, 60.0, 80.0, 120.0)
 SMALL_OBJECTS: dict[str, Any] = {
-    "randomize": {"shape": True, "size": (0.04, 0.08), "mass": (0.05, 0.3), "friction": (0.5, 1.0)},
+    "randomize": {"shape": True, "size": (0.04, 0.08), "mass": (0.05, 0.3), "friction": (0.5, 1.0)}
 }
 """Objects for hands of human size."""
 OBJECTS: dict[str, dict[str, Any]] = {

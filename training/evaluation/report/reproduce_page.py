@@ -38,9 +38,7 @@ INTRO = (
 )
 CLAIMS = (
     Claim.of(
-        "every step rule converges with all weights",
-        "case == 'weights'",
-        "iterations_missing <= 0",
+        "every step rule converges with all weights", "case == 'weights'", "iterations_missing <= 0"
     ),
     Claim.of(
         "all forms of the flow take the same iterates, up to rounding",
