@@ -47,8 +47,7 @@ __all__ = [
 ROTOR_INERTIA = 1e-4  # default rotor inertia at a joint [kg m^2]; see `HandDescription.with_rotors`
 _LIGHT_INERTIA = 1e-5
 """End links with less inertia about their joint than this [kg m^2] get `ROTOR_INERTIA` added: a
-torque error of 50 mN m would change
-their speed by 50 rad/s in one control tick."""
+torque error of 50 mN m would change their speed by 50 rad/s in one control tick."""
 
 
 @dataclass(frozen=True)
@@ -103,14 +102,11 @@ class HandDescription:
         check_tree(name, self.palm, self.links)
         check_mimics(name, self.links)
         check_fingertips(name, self.links, self.fingertips)
-        home = (
-            tuple(_middle(link) for link in self.links)
-            if isinstance(self.home, list | tuple) and not self.home
-            else self.home
-        )
-        object.__setattr__(
-            self, "home", self._coupled(numbers(home, len(self.links), f"{name}: home [rad]"))
-        )
+        home = self.home
+        if isinstance(home, list | tuple) and not home:
+            home = [_middle(link) for link in self.links]
+        home = numbers(home, len(self.links), f"{name}: home [rad]")
+        object.__setattr__(self, "home", self._coupled(home))
         for link, angle in zip(self.links, self.home, strict=True):
             if link.mimic is None and not link.lower <= angle <= link.upper:
                 raise InvalidInputError(
@@ -174,11 +170,11 @@ class HandDescription:
             if link.parent == self.palm.name:
                 origin, angles = place.carry(link.origin, link.rotation)
                 links[index] = replace(link, origin=origin, rotation=angles)
-        palm = self.palm
-        solid, drawn = (
-            tuple(shape.carried(place) for shape in each) for each in (palm.collision, palm.visual)
+        palm = replace(
+            self.palm,
+            collision=tuple(shape.carried(place) for shape in self.palm.collision),
+            visual=tuple(shape.carried(place) for shape in self.palm.visual),
         )
-        palm = replace(palm, collision=solid, visual=drawn)
         return replace(self, palm=palm, links=tuple(links), placed=True)
 
     def without_visuals(self) -> HandDescription:
@@ -210,18 +206,15 @@ class HandDescription:
         return replace(self, links=tuple(heavier))
 
     def _light_ends(self) -> list[str]:
-        """Return the end links with less inertia about their joint than `_LIGHT_INERTIA`; a coupled
-        link is replaced by its driver's.
-        """
+        """Return the end links lighter than `_LIGHT_INERTIA`; of a coupled one, its driver's link."""
         carriers = {link.parent for link in self.links}
         light: dict[str, None] = {}
         for link, driver in zip(self.links, self.drivers, strict=True):
             center = np.array(link.center)
             axis = np.array(link.axis)
-            own = axis @ inertia_matrix(link.inertia) @ axis + link.mass * (
-                center @ center - (axis @ center) ** 2
-            )
-            if not link.sliding and link.name not in carriers and own < _LIGHT_INERTIA:
+            inertia = axis @ inertia_matrix(link.inertia) @ axis
+            inertia += link.mass * (center @ center - (axis @ center) ** 2)  # about the joint
+            if not link.sliding and link.name not in carriers and inertia < _LIGHT_INERTIA:
                 light[self.links[driver].name] = None
         return list(light)
 
@@ -366,9 +359,9 @@ class HandDescription:
                 "(rotor_inertia=0 adds none)"
             )
         if position is not None or rotation is not None:
-            nowhere = (0.0, 0.0, 0.0)
+            zero = (0.0, 0.0, 0.0)
             hand = hand.moved(
-                nowhere if position is None else position, nowhere if rotation is None else rotation
+                zero if position is None else position, zero if rotation is None else rotation
             )
         if repairs:
             warnings.warn(f"{path}: {'; '.join(repairs)}", stacklevel=2)

@@ -1,6 +1,4 @@
-"""Kinematics and statics of a hand: link poses, Jacobians, gravity torques, mass matrix and inverse
-kinematics.
-"""
+"""Kinematics and statics of a hand: poses, Jacobians, gravity torques, inverse kinematics."""
 
 from __future__ import annotations
 
@@ -58,9 +56,9 @@ class HandKinematics:
         self.lower, self.upper = _ranges(hand)
         links = list[core.Link]()
         for index, link in enumerate(hand.links):
-            driver, mimic = (
-                (-1, Mimic("none")) if link.mimic is None else (hand.drivers[index], link.mimic)
-            )
+            driver, mimic = -1, Mimic("none")
+            if link.mimic is not None:
+                driver, mimic = hand.drivers[index], link.mimic
             links.append(
                 core.Link(
                     parent=parents[index],
@@ -86,9 +84,8 @@ class HandKinematics:
         self.tree = core.Tree.make(links, tips)
         self.home = np.array(hand.home)
         self.torque_limits = hand.torque_limits
-        self.tip_links: Indices = np.array(
-            [numbers[tip.link] for tip in hand.fingertips], dtype=np.int64
-        )
+        tip_links = [numbers[tip.link] for tip in hand.fingertips]
+        self.tip_links: Indices = np.array(tip_links, dtype=np.int64)
         self.tip_radii = np.array([tip.radius for tip in hand.fingertips])
         self.carries = np.zeros((hand.finger_count, hand.joint_count), dtype=bool)
         self.reach, self.roots = np.zeros(hand.finger_count), np.zeros((hand.finger_count, 3))
@@ -105,20 +102,17 @@ class HandKinematics:
             ]
             self.reach[finger] = sum([*(float(np.linalg.norm(arm)) for arm in arms), *slides])
             self.roots[finger] = hand.links[chain[-1]].origin
-        self._within, self._beyond = (
-            core.Reach.make(self.tree),
-            core.Reach.make(self.tree, limited=False),
-        )
+        self._within = core.Reach.make(self.tree)
+        self._beyond = core.Reach.make(self.tree, limited=False)
         self._starts = _other_starts(self.lower, self.upper)
 
     def __repr__(self) -> str:
         return f"HandKinematics({self.hand.name}, {self.hand.joint_count} joints, {self.hand.finger_count} fingertips)"
 
     def links(self, angles: ArrayLike) -> tuple[Array, Array]:
-        """Return the link poses at joint angles (M,) [rad]: rotations to the world frame (M, 3, 3)
-        and origins (M, 3) [m].
+        """Return the rotations (M, 3, 3) and origins (M, 3) [m] of the links, world frame.
 
-        The origin of a link lies on the axis of its joint.
+        The origin of a link lies on the axis of its joint; `angles` are (M,) [rad].
         """
         count = self.hand.joint_count
         rotations = np.empty((count, 3, 3))
@@ -127,9 +121,7 @@ class HandKinematics:
         return rotations, origins
 
     def tips(self, angles: ArrayLike) -> Array:
-        """Return the centres of the fingertips [m], (N, 3), world frame, at joint angles (M,)
-        [rad].
-        """
+        """Return the centres of the fingertips (N, 3) [m], world frame, at `angles` (M,) [rad]."""
         centers = np.empty((self.hand.finger_count, 3))
         self.tree.tips(self._angles(angles), centers)
         return centers
@@ -157,8 +149,9 @@ class HandKinematics:
         return self.link_jacobian(angles, int(self.tip_links[finger]), place)
 
     def link_jacobian(self, angles: ArrayLike, link: int, point: ArrayLike) -> Array:
-        """Return the Jacobian (3, M) of a `point` (3,) [m], world frame, on the link of index
-        `link`, at joint `angles` (M,) [rad].
+        """Return the Jacobian (3, M) of a `point` (3,) [m] on the link of index `link`.
+
+        Both are in the world frame; joint `angles` are (M,) [rad].
         """
         whole(link, "link", 0, self.hand.joint_count - 1)
         out = np.empty((3, self.hand.joint_count))
@@ -166,8 +159,9 @@ class HandKinematics:
         return out
 
     def gravity_torques(self, angles: ArrayLike, gravity: ArrayLike = (0.0, -9.81, 0.0)) -> Array:
-        """Return the joint torques (M,) [N m] that carry the hand's weight at `angles` (M,) [rad],
-        `gravity` (3,) [m/s^2], world frame.
+        """Return the joint torques (M,) [N m] that carry the hand's weight.
+
+        `angles` are (M,) [rad], and `gravity` is (3,) [m/s^2], world frame.
         """
         out = np.empty(self.hand.joint_count)
         self.tree.gravity_torques(self._angles(angles), as_array(gravity, (3,), "gravity"), out)
@@ -176,8 +170,7 @@ class HandKinematics:
     def statics(
         self, angles: ArrayLike, positions: ArrayLike, gravity: ArrayLike = (0.0, -9.81, 0.0)
     ) -> tuple[Array, Array]:
-        """Compute the Jacobians of the contact points and the torques that carry the hand's weight,
-        in one call.
+        """Return the contact points' Jacobians and the torques that carry the hand's weight.
 
         Args:
             angles: Joint angles [rad], (M,).
@@ -186,8 +179,7 @@ class HandKinematics:
 
         Returns:
             The Jacobians (N, 3, M) [m/rad] of these points, as `ForceLimits` takes them, and the
-            torques (M,) [N m] of
-            `gravity_torques`.
+            torques (M,) [N m] of `gravity_torques`.
 
         Example:
             >>> kinematics = HandKinematics(HandDescription.four_finger())
@@ -205,8 +197,7 @@ class HandKinematics:
         return jacobian, torques
 
     def export(self, path: str | Path) -> Path:
-        """Write links, masses, limits and fingertips, without shapes, to a file for
-        `grasp::TreeFile::load` in C++.
+        """Write the hand without shapes to a file for `grasp::TreeFile::load` in C++.
 
         Args:
             path: Path of the file, which is written completely or not at all.
@@ -229,8 +220,7 @@ class HandKinematics:
         return file
 
     def mass_matrix(self, angles: ArrayLike) -> Array:
-        """Return the mass matrix (M, M) [kg m^2] at `angles` (M,) [rad]: the kinetic energy is 1/2
-        rates^T out rates.
+        """Return the mass matrix (M, M) [kg m^2] at `angles` (M,) [rad].
 
         Rows and columns of coupled joints are 0.
         """
@@ -239,13 +229,12 @@ class HandKinematics:
         return out
 
     def mobility(self, angles: ArrayLike) -> tuple[Array, Array]:
-        """Return the mobility of tips and joints at `angles` (M,) [rad], for the gains of springs
-        and dampers.
+        """Return the mobility of tips and joints at `angles` (M,) [rad], for gains of springs.
 
         Returns:
             The largest acceleration of each tip per force on it, (N,) [1/kg]. An upper bound on the
-            acceleration of each joint per
-            torque, when all joints have springs, (M,) [1/(kg m^2)]; 0 for coupled joints.
+            acceleration of each joint per torque, when all joints have springs, (M,)
+            [1/(kg m^2)]; 0 for coupled joints.
         """
         free = self.motors
         inverse = np.linalg.inv(self.mass_matrix(angles)[np.ix_(free, free)])
@@ -284,9 +273,7 @@ class HandKinematics:
         return angles
 
     def reachable(self, tips: ArrayLike, start: ArrayLike | None = None) -> bool:
-        """Return True if `solve` finds angles for `tips` (N, 3) [m], world frame, from `start` (M,)
-        [rad]; None: the rest posture.
-        """
+        """Return True if `solve` finds angles for the same `tips` and `start`."""
         targets = as_array(tips, (self.hand.finger_count, 3), "tips")
         if (np.square(targets - self.roots).sum(axis=1) > self.reach**2).any():
             return False
@@ -303,9 +290,7 @@ class HandKinematics:
         return as_array(angles, (self.hand.joint_count,), "angles")
 
     def _search(self, reach: core.Reach, targets: Array, first: Array) -> tuple[Array, Array]:
-        """Return angles (M,) and the largest error of a tip [m] in each group of fingers that share
-        joints.
-        """
+        """Return angles (M,) and the largest error of a tip [m] in each group of coupled fingers."""
         starts = np.vstack([np.clip(first, self.lower, self.upper), self._starts])
         angles = np.empty(len(first))
         missed = np.empty(len(reach.groups))
@@ -351,11 +336,9 @@ class HandKinematics:
 
 
 def motor_force_basis(jacobian: Array) -> Array:
-    """Return an orthonormal basis (K, R) of the forces that motors with the Jacobian (K, J) can
-    produce.
-    """
-    ways, levers, _ = np.linalg.svd(jacobian, full_matrices=False)
-    return ways[:, levers > _SMALLEST_LEVER * levers[0]]
+    """Return an orthonormal basis (K, R) of the forces of motors with the Jacobian (K, J)."""
+    directions, levers, _ = np.linalg.svd(jacobian, full_matrices=False)
+    return directions[:, levers > _SMALLEST_LEVER * levers[0]]
 
 
 def _ranges(hand: HandDescription) -> tuple[Array, Array]:

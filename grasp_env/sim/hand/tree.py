@@ -1,6 +1,4 @@
-"""Parts of a hand, links with their joints, geometries, fingertips and the palm, and checks that
-they fit together.
-"""
+"""Parts of a hand: links with joints, geometries, fingertips, the palm; and their checks."""
 
 from __future__ import annotations
 
@@ -114,18 +112,14 @@ class Mimic:
 
     def __post_init__(self) -> None:
         name = f"mimic of joint {self.joint!r}"
-        (ratio,), (offset,) = (
-            numbers((self.ratio,), 1, f"{name}: ratio"),
-            numbers((self.offset,), 1, f"{name}: offset"),
-        )
+        (ratio,) = numbers((self.ratio,), 1, f"{name}: ratio")
+        (offset,) = numbers((self.offset,), 1, f"{name}: offset")
         if ratio == 0.0:
             raise InvalidInputError(f"{name}: ratio=0.0 does not move the joint; make it fixed")
         _fix(self, joint=word(self.joint, "mimic: joint"), ratio=ratio, offset=offset)
 
     def angle(self, driver: float) -> float:
-        """Return the angle of the coupled joint for the angle `driver` [rad], for sliding joints
-        [m].
-        """
+        """Return the coupled joint's angle for the driver's [rad], for sliding joints [m]."""
         return self.ratio * driver + self.offset
 
 
@@ -288,9 +282,7 @@ def check_mimics(name: str, links: tuple[Link, ...]) -> None:
 
 
 def check_fingertips(name: str, links: tuple[Link, ...], tips: tuple[Fingertip, ...]) -> None:
-    """Check that there is a fingertip, that names differ, and that every fingertip is on a moving
-    link.
-    """
+    """Check that there are fingertips, their names differ, and each is on a moving link."""
     if not tips:
         raise InvalidInputError(
             f"{name}: fingertips=() is empty; name at least one, as a hand only touches with them"
