@@ -230,16 +230,16 @@ def test_the_second_reading_makes_nothing(tmp_path, monkeypatch):
     assert len(first.palm.collision) == 2
     corners = np.array(bent().vertices)
     faces = np.array(bent().faces)
-    kept = pieces.kept_pieces(corners, faces, "of a model")
+    kept = pieces.cached_pieces(corners, faces, "of a model")
     assert ("of a model", "hand") in {(entry.name, entry.use) for entry in entries()}
     for module, name in ((pieces, "convex_pieces"), (reading, "apart"), (meshes, "_corners_exist")):
         monkeypatch.setattr(module, name, fail)
     assert read(tmp_path, text, ["finger"])[0] == first
     assert all(
-        map(np.array_equal, pieces.kept_pieces(corners, faces.astype(np.int32), "again"), kept)
+        map(np.array_equal, pieces.cached_pieces(corners, faces.astype(np.int32), "again"), kept)
     )
     with pytest.raises(AssertionError, match="from the cache"):
-        pieces.kept_pieces(1.1 * corners, faces, "other")
+        pieces.cached_pieces(1.1 * corners, faces, "other")
     bent().apply_scale(1.1).export(tmp_path / "bent.stl")  # the same file with other content
     with pytest.raises(AssertionError, match="from the cache"):
         read(tmp_path, text, ["finger"])

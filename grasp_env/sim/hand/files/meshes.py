@@ -28,8 +28,8 @@ _MAX_VISUAL_BYTES = 20 * MEGABYTE  # largest visual mesh [bytes]
 _MAX_BLOCKS = 10_000
 _LONGEST_HEAD = 65_536  # head of a .dae in which its unit is looked for [bytes]
 _UNIT = re.compile(rb"""<(?:\w+:)?unit\s(?:[^<>]*\s)?meter\s*=\s*["']([^"'<>]*)["']""")
-# version of the cache's entries; change it when what is made of a mesh changes
-MADE = "1"
+# version of the cache's entries; change it when results of meshes change
+CACHE_VERSION = "1"
 
 
 def find_mesh(name: str, urdf: Path) -> Path | None:
@@ -67,8 +67,8 @@ class Job(NamedTuple):
     make: Callable[[Array, Any], dict[str, Any]]
 
 
-def made_of_files(jobs: Sequence[Job], text: str) -> list[dict[str, Any] | InvalidInputError]:
-    """Return what the jobs make or raise, from the cache where it is known.
+def run_jobs(jobs: Sequence[Job], text: str) -> list[dict[str, Any] | InvalidInputError]:
+    """Run jobs on mesh files and return the result or error of each, from the cache if it is there.
 
     One process reads all other files. `text` describes the work on the progress line.
     """
@@ -80,7 +80,7 @@ def made_of_files(jobs: Sequence[Job], text: str) -> list[dict[str, Any] | Inval
         except InvalidInputError as error:
             done[number] = error
             continue
-        key = digest(MADE.encode(), file.kind.encode(), job.mark, file.content)
+        key = digest(CACHE_VERSION.encode(), file.kind.encode(), job.mark, file.content)
         if known := lookup(key):
             done[number] = known
         else:
@@ -121,7 +121,7 @@ def read_looks(files: Iterable[str]) -> dict[str, tuple[Array, Any]]:
         for name in names
     ]
     looks = dict[str, tuple[Array, Any]]()
-    for name, mesh in zip(names, made_of_files(jobs, "meshes to look at"), strict=True):
+    for name, mesh in zip(names, run_jobs(jobs, "meshes to look at"), strict=True):
         if isinstance(mesh, InvalidInputError):
             raise mesh
         looks[name] = mesh["corners"], mesh["faces"]
@@ -163,7 +163,7 @@ def why_not_drawn(path: Path, scale: Sequence[float]) -> str:
     if path.suffix.lower() != ".obj":
         why = "" if len(blob) > 84 else "are empty"
     else:
-        key = digest(MADE.encode(), b"drawn", blob)
+        key = digest(CACHE_VERSION.encode(), b"drawn", blob)
         why = str(cached(key, path.name, lambda: {"why": _why_broken(blob)}, use="hand")["why"])
     return why or ("are mirrored by a scale below 0" if min(scale) < 0.0 else "")
 

@@ -9,7 +9,7 @@ from grasp_env.inputs.arguments import Array
 from grasp_env.sim.hand.check import Vector3
 from grasp_env.sim.hand.files.meshes import why_not_drawn
 from grasp_env.sim.hand.files.mjcf_model import frame_of, mesh_file
-from grasp_env.sim.hand.files.pieces import kept_pieces
+from grasp_env.sim.hand.files.pieces import cached_pieces
 from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.hand.solids import few_corners, hull_shape, outline
 from grasp_env.sim.hand.tree import Geometry
@@ -69,7 +69,7 @@ class MjcfShapes:
             mesh = model.mesh(int(model.geom_dataid[geom]))
             corners = model.mesh_vert[mesh.vertadr[0] :][: mesh.vertnum[0]]
             faces = model.mesh_face[mesh.faceadr[0] :][: mesh.facenum[0]]
-            pieces = kept_pieces(corners, faces, f"{self._path.name}: {mesh.name or mesh.id}")
+            pieces = cached_pieces(corners, faces, f"{self._path.name}: {mesh.name or mesh.id}")
         return [hull_shape(piece, origin, rotation, color) for piece in pieces]
 
     def looks(self, geom: int, shift: Frame) -> list[Geometry]:

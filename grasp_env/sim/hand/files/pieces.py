@@ -15,7 +15,7 @@ from grasp_env.errors import InvalidInputError, shown
 from grasp_env.inputs.arguments import AllFaults, Array
 from grasp_env.inputs.files import digest
 from grasp_env.sim import mesh_shape
-from grasp_env.sim.hand.files.meshes import MADE, Job, made_of_files
+from grasp_env.sim.hand.files.meshes import CACHE_VERSION, Job, run_jobs
 from grasp_env.sim.hand.solids import few_corners, hull_of, hull_shape, principal_axes
 from grasp_env.sim.hand.tree import Geometry, Vector3
 from grasp_env.sim.objects.cache import cached
@@ -61,7 +61,7 @@ def solids_of(
     jobs = [
         Job(path, np.array(scale).tobytes(), partial(_pieces_of, scale)) for path, scale in uses
     ]
-    results = made_of_files(jobs, f"{file}: convex pieces of meshes")
+    results = run_jobs(jobs, f"{file}: convex pieces of meshes")
     pieces = dict[tuple[Path, Vector3], list[Array]]()
     with AllFaults() as check:
         for (mesh, (link, name)), result in zip(uses.items(), results, strict=True):
@@ -92,9 +92,7 @@ def hulls_of_files(files: Iterable[str]) -> dict[str, Array]:
     """Return at most `_VISUAL_CORNERS` hull corners (K, 3) of each mesh file, in its units."""
     names = list(dict.fromkeys(files))
     hulls = dict[str, Array]()
-    results = made_of_files(
-        [Job(Path(name), b"hull", _hull_of) for name in names], "hulls of meshes"
-    )
+    results = run_jobs([Job(Path(name), b"hull", _hull_of) for name in names], "hulls of meshes")
     with AllFaults() as check:
         for name, result in zip(names, results, strict=True):
             if isinstance(result, InvalidInputError):
@@ -110,14 +108,14 @@ def _hull_of(corners: Array, _: Any) -> dict[str, Any]:
     return {"corners": mesh_shape.reduce_hull(points, _VISUAL_CORNERS, _VISUAL_ERROR)}
 
 
-def kept_pieces(corners: Array, faces: Any, name: str) -> list[Array]:
+def cached_pieces(corners: Array, faces: Any, name: str) -> list[Array]:
     """Return the `convex_pieces` of corners (V, 3) [m] and faces (F, 3).
 
     They come from the cache if possible, which lists them under `name`.
     """
     corners = np.ascontiguousarray(corners, dtype=float)
     faces = np.ascontiguousarray(faces, dtype=np.int64)
-    key = digest(MADE.encode(), b"arrays", corners.tobytes(), faces.tobytes())
+    key = digest(CACHE_VERSION.encode(), b"arrays", corners.tobytes(), faces.tobytes())
 
     def make() -> dict[str, Any]:
         size = mesh_shape.WELD * mesh_shape.extent_of(corners)
