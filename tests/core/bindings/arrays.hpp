@@ -1,4 +1,4 @@
-// numpy in, numpy out. Speed is no matter here: arguments are converted, results are copies.
+// numpy in, numpy out: arguments are converted, results are copies.
 #pragma once
 
 #include <nanobind/ndarray.h>
@@ -42,7 +42,7 @@ template <class F> auto with_lanes(int lanes, F&& f) {
   throw nb::value_error("lanes: 1, 2, 4 or 8");
 }
 
-// grasp::Contacts under a name of this module's own: _core registers the type itself.
+// grasp::Contacts under another name: _core registers the type itself.
 struct Placement {
   grasp::Contacts contacts;
   grasp::Placing placed;

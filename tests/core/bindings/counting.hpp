@@ -12,13 +12,13 @@ long allocations = 0;
 #ifndef GRASP_SANITIZE
 void* operator new(std::size_t size) {
   ++allocations;
-  if (void* made = std::malloc(size ? size : 1)) return made;
+  if (void* memory = std::malloc(size ? size : 1)) return memory;
   throw std::bad_alloc();
 }
 void* operator new(std::size_t size, std::align_val_t align) {
   ++allocations;
   const std::size_t a = std::size_t(align);
-  if (void* made = std::aligned_alloc(a, (size + a - 1) / a * a)) return made;
+  if (void* memory = std::aligned_alloc(a, (size + a - 1) / a * a)) return memory;
   throw std::bad_alloc();
 }
 void* operator new[](std::size_t size) { return operator new(size); }

@@ -8,10 +8,10 @@ using namespace grasp;
 namespace {
 
 nb::object frame(In normal, std::optional<In> along) {
-  const Frame made(point(numbers(normal, 3)), along ? numbers(*along, 3) : nullptr);
+  const Frame axes(point(numbers(normal, 3)), along ? numbers(*along, 3) : nullptr);
   std::vector<double> out(9);
   for (int a = 0; a < 3; ++a)
-    for (int r = 0; r < 3; ++r) out[3 * r + a] = made[a][r];
+    for (int r = 0; r < 3; ++r) out[3 * r + a] = axes[a][r];
   return array(out, {3, 3});
 }
 

@@ -46,23 +46,24 @@ struct Trial {
   int ticks = 0;
   double sum = 0.0;  // of all torques, so that nothing is left out
 
-  explicit Trial(const Case& given) : tree(tree_of(given.more, given.torque_limit, given.shared)) {
+  explicit Trial(const Case& variant)
+      : tree(tree_of(variant.more, variant.torque_limit, variant.shared)) {
     scene =
         std::make_shared<Scene>(tree, Surface{Cuboid{{0.05, 0.05, 0.05}}}, Point{0.0, -9.81, 0.0});
     std::vector<double> places, inwards;
     for (int i = 0; i < 4; ++i) {
       const double side = i % 2 ? 0.05 : -0.05;
       const double z = i < 2 ? 0.03 : -0.03;
-      for (double each : {side, i == 3 ? 0.02 : 0.0, z}) places.push_back(each);
-      for (double each : {-side / 0.05, 0.0, 0.0}) inwards.push_back(each);
+      for (double value : {side, i == 3 ? 0.02 : 0.0, z}) places.push_back(value);
+      for (double value : {-side / 0.05, 0.0, 0.0}) inwards.push_back(value);
     }
     const double friction[] = {0.6};
     const double torsion[] = {0.01, 0.01, 0.01, 0.01};
-    const Contacts contacts = given.soft
+    const Contacts contacts = variant.soft
                                   ? Contacts::from(places, inwards, friction, {}, {}, torsion)
                                   : Contacts::from(places, inwards, friction);
     const ForceOptimizer method({contacts},
-                                {.method = given.method, .tolerance = 1e-6, .limit = 5000});
+                                {.method = variant.method, .tolerance = 1e-6, .limit = 5000});
     ControlSettings settings;
     settings.body.mass = 0.2;
     settings.body.position_gain = 100.0;
@@ -86,7 +87,7 @@ struct Trial {
     SensorSettings sensors;
     sensors.tick = 0.004;
     sensors.keep = 0.5;
-    if (given.late) {
+    if (variant.late) {
       sensors.wrench = WrenchSource::estimated;
       sensors.delay = 2;
       sensors.pose_noise = 1e-5;
@@ -161,11 +162,12 @@ nb::tuple ticks(int count, int more, bool late, bool soft, bool shared, double t
   Trial trial(
       {more, late, soft, shared, torque_limit, flow ? Method::reduced_flow : Method::newton});
   for (int k = 0; k < 10; ++k) trial.tick();
-  const long made = counted([&] {
+  const long allocated = counted([&] {
     for (int k = 0; k < count; ++k) trial.tick();
   });
   const Controller& c = *trial.controller;
-  return nb::make_tuple(made, trial.sum, c.effort.followed + c.effort.limited, c.changes, c.peak);
+  return nb::make_tuple(allocated, trial.sum, c.effort.followed + c.effort.limited, c.changes,
+                        c.peak);
 }
 
 }  // namespace

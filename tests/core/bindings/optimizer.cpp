@@ -21,22 +21,21 @@ std::vector<float> singles(const In& a, size_t size) {
   const double* from = numbers(a, size);
   return {from, from + size};
 }
-// sizes, weights: of the network; pairs (2 M, 6); null_space in forces; it covers wrenches up to 20
-// N
+// sizes, weights: of the network; pairs: (2 M, 6); null_space: in forces
 std::shared_ptr<const Model> model(const std::vector<int>& sizes, const In& weights,
                                    const In& pairs, const In& null_space) {
-  auto made = std::make_shared<Model>();
-  made->network = Network(sizes, singles(weights, Network::numbers(sizes)).data());
-  made->normalisation = {0.2, 0.05, 0.5, 1.3, 0.4, 0.12};
+  auto model = std::make_shared<Model>();
+  model->network = Network(sizes, singles(weights, Network::numbers(sizes)).data());
+  model->normalisation = {0.2, 0.05, 0.5, 1.3, 0.4, 0.12};
   const int rows = int(pairs.size() / 6);
   std::vector<float> flat(7 * rows);  // inputs x outputs, then no bias
   for (int k = 0; k < rows; ++k)
     for (int r = 0; r < 6; ++r) flat[rows * r + k] = float(pairs.data()[6 * k + r]);
-  made->pairs = Network(std::vector{6, rows}, flat.data());
-  made->friction = 0.5;
-  made->largest = 20.0;
-  made->null_space.assign(null_space.data(), null_space.data() + null_space.size());
-  return made;
+  model->pairs = Network(std::vector{6, rows}, flat.data());
+  model->friction = 0.5;
+  model->largest = 20.0;
+  model->null_space.assign(null_space.data(), null_space.data() + null_space.size());
+  return model;
 }
 struct Predicts {
   std::shared_ptr<const Model> model;
@@ -77,22 +76,22 @@ class AnyOptimizer {
                   const Some& normals) {
     std::vector<double> row(on_->size());
     std::vector<double> trace(traced, -1.0);
-    Request ask{.wrench = numbers(wrench, 6),
-                .now = {.positions = all(positions), .normals = all(normals)},
-                .start = Start(start),
-                .force = all(force),
-                .torsion = all(torsion),
-                .optimum = optimum,
-                .trace = trace};
-    if (previous) ask.previous = numbers(*previous, row.size());
-    on_->solve(ask, row.data());
+    Request request{.wrench = numbers(wrench, 6),
+                    .now = {.positions = all(positions), .normals = all(normals)},
+                    .start = Start(start),
+                    .force = all(force),
+                    .torsion = all(torsion),
+                    .optimum = optimum,
+                    .trace = trace};
+    if (previous) request.previous = numbers(*previous, row.size());
+    on_->solve(request, row.data());
     return nb::make_tuple(array(row), array(trace));
   }
   nb::object start(const In& wrench, int start, const Some& force, const Some& previous) {
     std::vector<double> row(on_->size());
-    Request ask{.wrench = numbers(wrench, 6), .start = Start(start), .force = all(force)};
-    if (previous) ask.previous = numbers(*previous, row.size());
-    on_->start(ask, row.data());
+    Request request{.wrench = numbers(wrench, 6), .start = Start(start), .force = all(force)};
+    if (previous) request.previous = numbers(*previous, row.size());
+    on_->start(request, row.data());
     return array(row);
   }
   nb::object solve_many(const In& wrenches) {
@@ -107,8 +106,7 @@ class AnyOptimizer {
     const double gap = on_->make_basis(basis.data(), false);
     return nb::make_tuple(gap, array(basis, {13, size_t(3 * on_->home().count)}));
   }
-  // of solves, each with and without the row of the one before, on contacts (M, N, 3) of its own
-  // where they are given
+  // Solves with and without the row of the solve before; positions and normals (M, N, 3) or none.
   long allocations_in(const In& wrenches, const Some& positions, const Some& normals, int calls) {
     const int many = int(wrenches.shape(0));
     const int size = on_->size();
@@ -123,13 +121,13 @@ class AnyOptimizer {
     return counted([&] {
       for (int k = 0; k < calls; ++k) {
         const int j = k % many;
-        Request ask{.wrench = w + 6 * j,
-                    .now = {.positions = of(positions, j), .normals = of(normals, j)}};
+        Request request{.wrench = w + 6 * j,
+                        .now = {.positions = of(positions, j), .normals = of(normals, j)}};
         if (k % 2) {
-          ask.previous = before.data();
-          ask.start = Start::previous;
+          request.previous = before.data();
+          request.start = Start::previous;
         }
-        on_->solve(ask, row.data());
+        on_->solve(request, row.data());
         if (Record(row.data()).has_force()) std::swap(row, before);
       }
     });

@@ -30,10 +30,11 @@ template <size_t COLUMNS, class F> nb::object over(int lanes, const In& x, F&& f
     const size_t rows = x.shape(0);
     std::vector<double> out(rows * COLUMNS);
     for (size_t first = 0; first < rows; first += width<V>) {
-      std::array<V, COLUMNS> found;
-      f(zero, first, found);
+      std::array<V, COLUMNS> results;
+      f(zero, first, results);
       for (size_t n = 0; n < size_t(width<V>) && first + n < rows; ++n)
-        for (size_t c = 0; c < COLUMNS; ++c) out[(first + n) * COLUMNS + c] = get(found[c], int(n));
+        for (size_t c = 0; c < COLUMNS; ++c)
+          out[(first + n) * COLUMNS + c] = get(results[c], int(n));
     }
     return array(out, {rows, COLUMNS});
   });

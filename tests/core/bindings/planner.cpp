@@ -58,5 +58,5 @@ void bind_planner(nb::module_& m) {
   m.def("object_gap", &object_gap, "surface"_a, "b"_a, "turn"_a, "shift"_a, "enough"_a = infinity,
         "Of a `core.Surface`.");
   m.def("least_force", &least_normal_force, "points"_a, "normals"_a, "friction"_a, "length"_a,
-        "load"_a, "efforts"_a, "torsion"_a, "inf: none was found.");
+        "load"_a, "efforts"_a, "torsion"_a, "inf: none.");
 }

@@ -53,16 +53,16 @@ template <class F> void refused(const char* name, F&& setup) {
 // call(k): true if it ended as it should
 template <class F> void counted(const char* name, int calls, F&& call) {
   int wrong = 0;
-  const long made = ::counted([&] {
+  const long allocated = ::counted([&] {
     for (int k = 0; k < calls; ++k) wrong += !call(k);
   });
-  std::printf("allocations of %s: %ld, wrong: %d\n", name, made, wrong);
+  std::printf("allocations of %s: %ld, wrong: %d\n", name, allocated, wrong);
 }
 
 }  // namespace
 
-int main(int given, char** arguments) {
-  if (given < 3) return 2;
+int main(int argc, char** arguments) {
+  if (argc < 3) return 2;
   const int calls = std::atoi(arguments[2]);
   const auto model = std::make_shared<const Model>(ModelFile::load(arguments[1]));
   const Contacts contacts = Contacts::from(positions, normals, 0.4);

@@ -44,7 +44,7 @@ class Bytes {
 };
 
 // The contacts and limits of a call.
-struct Given {
+struct Case {
   int count = 0, joints = 0, moves = 0;  // moves: rows of the Jacobian, 3 or 6
   std::vector<double> positions, normals, friction, along, gamma, least, most, jacobian, torque,
       bias;
@@ -53,9 +53,9 @@ struct Given {
 
   bool touches(int i) const { return contacts >> i & 1; }
   double mu(int i, int axis) const {
-    const std::size_t given = friction.size();
+    const std::size_t size = friction.size();
     const std::size_t n = std::size_t(count);
-    return given == 1 ? friction[0] : given == n ? friction[i] : friction[2 * i + axis];
+    return size == 1 ? friction[0] : size == n ? friction[i] : friction[2 * i + axis];
   }
   bool slippery(int i) const { return !(mu(i, 0) > 0.0 && mu(i, 1) > 0.0); }
   double torsion(int i) const { return gamma.empty() ? 0.0 : gamma[i]; }
@@ -95,9 +95,9 @@ constexpr double BALANCED = 1e-6;
 // part of a force by which rounding may take conic forces out of their cones
 constexpr double INSIDE = 1e-9;
 
-// Compares a record with what was given; tests/force/test_trial.py judges optima, bounds and
+// Compares a record with its case; tests/force/test_trial.py judges optima, bounds and
 // proofs.
-void check(const Given& g, const double* wrench, const Options& options, const Record& record) {
+void check(const Case& g, const double* wrench, const Options& options, const Record& record) {
   const Summary& s = record.summary();
   const Code code = record.code();
   const int n = g.count;
@@ -115,7 +115,7 @@ void check(const Given& g, const double* wrench, const Options& options, const R
   for (const double* v = record.force(); v < end; ++v)
     require(std::abs(*v) < infinity, "no number", record, *v);
   for (const double* v = record.limit_multipliers(); v < end; ++v)
-    require(*v >= 0.0, "a price below zero", record, *v);
+    require(*v >= 0.0, "a negative multiplier", record, *v);
 
   const auto [centre, spread] = g.around();
   double most = 0.0;
@@ -173,7 +173,7 @@ void tilt(Bytes& from, double* normal, double by) {
 }
 // A Jacobian of joints of one finger each, with a shared one among them, or of joints that all
 // fingers share.
-std::vector<double> jacobian_of(Bytes& from, const Given& g) {
+std::vector<double> jacobian_of(Bytes& from, const Case& g) {
   std::vector<double> jacobian(std::size_t(g.moves) * g.count * g.joints);
   const int mixed = from.whole(0, 3);
   for (int i = 0; i < g.count; ++i)
@@ -184,8 +184,8 @@ std::vector<double> jacobian_of(Bytes& from, const Given& g) {
   return jacobian;
 }
 
-Given contacts_of(Bytes& from) {
-  Given g;
+Case contacts_of(Bytes& from) {
+  Case g;
   g.count = from.whole(2, from.one_in(4) ? 18 : 6);
   from.wild = from.one_in(2);
   const double far = from.one_in(4) ? 1.0 : 0.0;
@@ -208,7 +208,7 @@ Given contacts_of(Bytes& from) {
   if (from.one_in(4)) g.objective = {from.decades(1e-4, 1e4), from.decades(1e-16, 1e6)};
   return g;
 }
-void limit(Bytes& from, Given& g) {
+void limit(Bytes& from, Case& g) {
   if (from.one_in(2)) g.most = from.numbers(g.count, 1.0);
   for (double& v : g.most) v = std::abs(v) * 20.0 + 0.1;
   if (from.one_in(2)) g.least = from.numbers(g.count, 0.1);
@@ -221,7 +221,7 @@ void limit(Bytes& from, Given& g) {
   for (int j = 0; j < g.joints; ++j)
     g.torque.push_back(from.one_in(8) ? infinity : from.decades(1e-3, 10.0));
 }
-Options options_of(Bytes& from, Given& g) {
+Options options_of(Bytes& from, Case& g) {
   constexpr Method methods[] = {Method::newton, Method::newton,       Method::conic,
                                 Method::conic,  Method::reduced_flow, Method::full_flow};
   Options options{.method = methods[from.whole(0, 5)]};
@@ -247,7 +247,7 @@ std::array<double, 6> load_of(Bytes& from) {
   return w;
 }
 // Contacts and limits of a call, of which `now` holds what has changed; g becomes all of them.
-Changes moved(Bytes& from, Given& g, bool some, std::vector<double>& friction) {
+Changes moved(Bytes& from, Case& g, bool some, std::vector<double>& friction) {
   Changes now;
   if (from.one_in(2)) {
     for (double& v : g.positions) v += from.number(from.one_in(8) ? 0.05 : 1e-3);
@@ -258,13 +258,13 @@ Changes moved(Bytes& from, Given& g, bool some, std::vector<double>& friction) {
     now.normals = g.normals;
   }
   if (from.one_in(6)) {
-    Given other = g;
+    Case other = g;
     other.friction = friction = friction_of(from, g.count);
     now.friction = friction;
-    std::vector<double> each;  // frictionless contacts stay frictionless
+    std::vector<double> values;  // frictionless contacts stay frictionless
     for (int k = 0; k < 2 * g.count; ++k)
-      each.push_back(g.slippery(k / 2) ? 0.0 : other.mu(k / 2, k % 2));
-    g.friction = each;
+      values.push_back(g.slippery(k / 2) ? 0.0 : other.mu(k / 2, k % 2));
+    g.friction = values;
   }
   if (g.joints && from.one_in(3)) {
     g.jacobian = jacobian_of(from, g);
@@ -283,7 +283,7 @@ Changes moved(Bytes& from, Given& g, bool some, std::vector<double>& friction) {
 }
 
 void run_calls(Bytes& from) {
-  Given home = contacts_of(from);
+  Case home = contacts_of(from);
   const Options options = options_of(from, home);
   const Contacts contacts = Contacts::from(home.positions, home.normals, home.friction,
                                            home.objective, home.along, home.gamma);
@@ -293,7 +293,7 @@ void run_calls(Bytes& from) {
   std::vector<double> friction;
   for (int round = from.whole(1, 4); round > 0; --round) {
     if (from.one_in(8)) {
-      Given there = home;
+      Case there = home;
       call = "update";
       const bool updated = on.update(moved(from, there, false, friction));
       if (updated)
@@ -302,37 +302,37 @@ void run_calls(Bytes& from) {
         std::abort();
     }
     const auto w = load_of(from);
-    Given there = home;
+    Case there = home;
     const Changes now = moved(from, there, true, friction);
-    Request ask{.wrench = w.data(), .now = now};
-    if (from.one_in(2)) ask.start = Start(from.whole(0, int(Start::learned)));
+    Request request{.wrench = w.data(), .now = now};
+    if (from.one_in(2)) request.start = Start(from.whole(0, int(Start::learned)));
     std::vector<double> force;
-    if (ask.start == Start::given || ask.start == Start::guess) {
+    if (request.start == Start::given || request.start == Start::guess) {
       force = from.numbers(3 * home.count, 5.0);
       if (on.previous() && from.one_in(2))
         std::copy_n(on.previous()->force(), 3 * home.count, force.begin());
-      ask.force = force;
+      request.force = force;
     }
     call = "solve";
-    const Record record = on.solve(ask);
+    const Record record = on.solve(request);
     check(there, w.data(), options, record);
-    require(record.code() != REFUSED || from.wild || ask.start == Start::given, "refused", record,
-            0.0);
+    require(record.code() != REFUSED || from.wild || request.start == Start::given, "refused",
+            record, 0.0);
     if (from.one_in(4)) {  // the same problem from another start, by a copy and again
       ForceOptimizer copy(std::as_const(on));
-      Request again = ask;
+      Request again = request;
       again.start = Start(from.whole(0, int(Start::phase_one)));
       call = "again";
       copy.solve(again, other.data());
       on.solve(again, row.data());
-      const Record found(other.data());
-      check(there, w.data(), options, found);
+      const Record copied(other.data());
+      check(there, w.data(), options, copied);
       require(std::memcmp(row.data(), other.data(), row.size() * sizeof(double)) == 0, "other bits",
-              found, 0.0);
+              copied, 0.0);
     }
     if (from.one_in(8)) {
       call = "start";
-      on.start(ask, row.data());
+      on.start(request, row.data());
       check(there, w.data(), options, Record(row.data()));
     }
     if (from.one_in(8)) {
@@ -361,8 +361,8 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
 }
 
 #ifdef GRASP_SEEDED
-int main(int given, char** arguments) {
-  if (given != 3) return 2;
+int main(int argc, char** arguments) {
+  if (argc != 3) return 2;
   std::uint64_t state = std::strtoull(arguments[1], nullptr, 10) * 2 + 1;
   const long count = std::atol(arguments[2]);
   std::vector<std::uint8_t> bytes(2000);

@@ -9,8 +9,8 @@
 
 #include "../bindings/counting.hpp"
 
-int main(int given, char** arguments) {
-  if (given != 3) return serve(given, arguments);
+int main(int argc, char** arguments) {
+  if (argc != 3) return serve(argc, arguments);
   const auto hand = grasp::TreeFile::load(arguments[1]);
   const auto read = [](Numbers& to) {
     return std::fread(to.data(), sizeof(double), to.size(), stdin) == to.size();

@@ -1,21 +1,20 @@
-// Eight threads make solvers of the same contacts and model at the same time, and solve: each has
-// the bits of the others.
+// Eight threads construct solvers of the same contacts and model and solve: all get the same bits.
 #include <grasp/optimizer.hpp>
 
 #include <cstdio>
 #include <thread>
 
-int main(int given, char** arguments) {
-  if (given < 3) return 2;
+int main(int argc, char** arguments) {
+  if (argc < 3) return 2;
   const int calls = std::atoi(arguments[2]);
   const double positions[] = {0, 0, -0.05, 0, 0.03, 0.05, -0.03, -0.02, 0.05, 0.03, -0.02, 0.05};
   const double normals[] = {0, 0, 1, 0, 0, -1, 0, 0, -1, 0, 0, -1};
   const auto contacts = grasp::Contacts::from(positions, normals, 0.4);
   const auto model = std::make_shared<const grasp::Model>(grasp::ModelFile::load(arguments[1]));
   const std::vector<double> most(4, 8.0);
-  std::vector<std::vector<double>> said(8);
+  std::vector<std::vector<double>> forces(8);
   std::vector<std::thread> threads;
-  for (auto& mine : said)
+  for (auto& row : forces)
     threads.emplace_back([&] {
       grasp::ForceOptimizer newton({contacts});
       grasp::ForceOptimizer follow({contacts}, {.start = grasp::Start::previous});
@@ -26,7 +25,7 @@ int main(int given, char** arguments) {
       grasp::ForceOptimizer limited({contacts, {.max_normal = most}},
                                     {.start = grasp::Start::previous});
       const auto keep = [&](const grasp::Record& r) {
-        mine.insert(mine.end(), r.force(), r.force() + 12);
+        row.insert(row.end(), r.force(), r.force() + 12);
       };
       for (int k = 0; k < calls; ++k) {
         const double turn = 0.1 * k;
@@ -41,7 +40,7 @@ int main(int given, char** arguments) {
       }
     });
   for (auto& thread : threads) thread.join();
-  for (const auto& mine : said)
-    if (mine != said[0]) return 1;
-  std::printf("%zu\n", said[0].size());
+  for (const auto& row : forces)
+    if (row != forces[0]) return 1;
+  std::printf("%zu\n", forces[0].size());
 }

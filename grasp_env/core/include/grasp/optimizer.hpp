@@ -1,9 +1,9 @@
-// The interface for control programs: it turns contacts, limits and a wrench into a certified grasp
-// force.
+// The interface for control programs: certified grasp forces from contacts, limits and a wrench.
 //
-//     grasp::ForceOptimizer solver({.contacts = grasp::Contacts::from(positions, normals, 0.4)},
-//     {.tolerance = 1e-6}); const grasp::Record& solution = solver.solve(wrench); if
-//     (solution.code() == grasp::CONVERGED) use(solution.force());
+//     const auto contacts = grasp::Contacts::from(positions, normals, 0.4);
+//     grasp::ForceOptimizer solver({.contacts = contacts}, {.tolerance = 1e-6});
+//     const grasp::Record& solution = solver.solve(wrench);
+//     if (solution.code() == grasp::CONVERGED) use(solution.force());
 //
 // The constructor allocates; it throws std::invalid_argument with a message about the wrong
 // argument. `solve` never throws or allocates: the code of its record tells how it ended. Use one
@@ -39,25 +39,25 @@ class ForceOptimizer {
   const Record& solve(Wrench wrench, const Changes& now = {}) {
     return solve(Request{.wrench = wrench.data(), .now = now});
   }
-  // The same with a start, a known optimum or a trace for this call. If it has no `previous`, the
-  // last solution is used as such.
+  // The same with a start, a known optimum or a trace. Without `previous` it uses the last
+  // solution.
   const Record& solve(Request request) {
     use_previous(request);
     engine_->solve(request, rows_[1].data());
-    const Record made(rows_[1].data());
-    if (made.has_force()) {  // without a force, the previous solution stays
+    const Record record(rows_[1].data());
+    if (record.has_force()) {  // without a force, the previous solution stays
       std::swap(rows_[0], rows_[1]);
       rows_[1].resize(size());  // after `remember`; there is room
       has_previous_ = true;
       record_ = last_record();
     } else {
-      record_ = made;
+      record_ = record;
     }
     return record_;
   }
   // Solve into a caller-owned row of `size()` numbers. This overload neither uses nor updates the
   // stored last solution; to warm-start, set `previous` of the request.
-  Code solve(const Request& ask, double* row) { return engine_->solve(ask, row); }
+  Code solve(const Request& request, double* row) { return engine_->solve(request, row); }
   // Compute only the start of a call and write it where the force would go. Return STARTED; any
   // other code says why there is no start.
   Code start(Request request, double* row) {
@@ -81,9 +81,9 @@ class ForceOptimizer {
   Deepest deepest(Wrench wrench, std::span<double> force, std::span<double> torsion) {
     return engine_->deepest(wrench.data(), force.data(), torsion.data());
   }
-  // The wrench without its part that no forces of a call's touching contacts make, whatever their
-  // signs; nothing if it has no such part or if no contact touches. Two hard contacts, for example,
-  // do not make a moment about the line through them.
+  // The wrench without its part that no forces of the touching contacts make, whatever their signs;
+  // nothing if it has no such part or if no contact touches. Two hard contacts, for example, make
+  // no moment about the line through them.
   std::optional<Vec6> within_reach(Wrench wrench, const Changes& now = {}) {
     return engine_->within_reach(wrench.data(), now);
   }
@@ -102,7 +102,7 @@ class ForceOptimizer {
     return has_previous_ ? std::optional<Record>(last_record()) : std::nullopt;
   }
   // Take a solution of another optimizer as the last one. Return false, with nothing changed, if it
-  // holds no force or has another number of contacts. Allocates.
+  // has no force or another number of contacts. Allocates.
   bool remember(const Record& solution) {
     if (!solution.has_force() || solution.contacts() != contacts().count) return false;
     const double* row = &solution.summary().code;

@@ -100,7 +100,7 @@ template <class V, int B> class ConicSolver : public ConicSteps<V, B> {
       at[b].s = {c.cost, V{}, V{}};
       cost += c.mask * c.cost;
     }
-    this->gap = this->price = sum(cost);
+    this->gap = this->objective = sum(cost);
     y = {};
     for (int k = 0; k < SEARCH; ++k, ++iterations) {
       const Vec6 left = missed(minus);
@@ -136,7 +136,7 @@ template <class V, int B> class ConicSolver : public ConicSteps<V, B> {
     this->start(minus);
     double goal = options.tolerance;
     for (int iterations = 0;; ++iterations) {
-      while (this->gap <= goal * this->price) {
+      while (this->gap <= goal * this->objective) {
         if (conclude(posed, iterations, record) <= options.tolerance) return CONVERGED;
         goal *= 0.1;
         if (!(this->gap > 0.0) || goal < 1e-3 * options.tolerance) return STALLED;
@@ -236,20 +236,21 @@ template <class V, int B> class ConicSolver : public ConicSteps<V, B> {
     Summary& out = record.summary();
     if (!(out.margin >= 0.0)) {
       move_inside(posed.unit, record);
-      bounded.price = this->price_of(force_);
+      bounded.objective = this->objective_of(force_);
     }
     out.multipliers = cones.unit.pull_back(bounded.theta * y);
     out.lower_bound = bounded.bound;
-    out.objective = bounded.price;
+    out.objective = bounded.objective;
     return cones.balanced(force_, posed.unit, out.residual) ? bounded.gap() : infinity;
   }
   // If rounding left a force outside a cone, move it towards the start, which is well inside.
   [[gnu::cold, gnu::noinline]] void move_inside(const Vec6& unit, const Record& record) {
-    for (double part = 1e-15; !(record.summary().margin >= 0.0); part = std::min(1.0, 4.0 * part)) {
+    for (double share = 1e-15; !(record.summary().margin >= 0.0);
+         share = std::min(1.0, 4.0 * share)) {
       for (int b = 0; b < blocks(); ++b)
-        force_[b] = part < 1.0 ? force_[b] + all<V>(part) * (first_[b] - force_[b]) : first_[b];
+        force_[b] = share < 1.0 ? force_[b] + all<V>(share) * (first_[b] - force_[b]) : first_[b];
       cones.certify(force_, unit, record);
-      if (part == 1.0) break;
+      if (share == 1.0) break;
     }
   }
 };

@@ -51,7 +51,7 @@ template <class V, int B> class ConicSteps {
   Cones<V, B> cones;
   Field rest;  // an internal force strictly inside the cones, with which a start squeezes
   Blocks<At, B> at;
-  S gap{}, price{};
+  S gap{}, objective{};
   Six<S> y{};
   Ldl<S> schur;
 
@@ -76,7 +76,7 @@ template <class V, int B> class ConicSteps {
       at[b].s = {c.cost, V{}, V{}};
       cost += c.mask * c.cost * at[b].x.u;
     }
-    gap = price = sum(cost);
+    gap = objective = sum(cost);
     y = {};
   }
 
@@ -127,8 +127,8 @@ template <class V, int B> class ConicSteps {
   // c - theta G^T y in every cone is min c / (g_u + |g_t|), g = G^T y, over the contacts where that
   // is positive.
   struct ConicForce {
-    S theta, price, bound;
-    S gap() const { return select(bound > 0.0, (price - bound) / bound, S(infinity)); }
+    S theta, objective, bound;
+    S gap() const { return select(bound > 0.0, (objective - bound) / bound, S(infinity)); }
   };
   ConicForce answer(const Six<S>& minus, const S& scale, Field& force) {
     V before[6] = {}, steepest{}, squeeze{};
@@ -152,13 +152,13 @@ template <class V, int B> class ConicSteps {
     }
     const V k = all<V>(largest(squeeze));
     for (int b = 0; b < blocks(); ++b) force[b] = all<V>(scale) * (at[b].x + k * rest[b]);
-    return {theta, price_of(force), scale * max(theta * dot(minus, y), S(0.0))};
+    return {theta, objective_of(force), scale * max(theta * dot(minus, y), S(0.0))};
   }
-  S price_of(const Field& force) const {  // weighted sum of the normal forces [N]
-    V price{};
+  S objective_of(const Field& force) const {  // weighted sum of the normal forces [N]
+    V objective{};
     for (int b = 0; b < blocks(); ++b)
-      price += cones.blocks[b].mask * cones.blocks[b].cost * force[b].u;
-    return sum(price);
+      objective += cones.blocks[b].mask * cones.blocks[b].cost * force[b].u;
+    return sum(objective);
   }
 
  private:
@@ -248,7 +248,7 @@ template <class V, int B> class ConicSteps {
       cost += c.mask * c.cost * here.x.u;
     }
     gap = sum(left);
-    price = sum(cost);
+    objective = sum(cost);
   }
 };
 

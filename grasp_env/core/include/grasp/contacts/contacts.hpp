@@ -45,8 +45,8 @@ struct WrenchSpace {
   }
 };
 
-// The weights of Phi, equal for all contacts: the prices of squeezing, which is also that of the
-// exact problem, and of approaching a cone [N^2].
+// The weights of Phi, equal for all contacts: of squeezing, which the exact problem shares, and of
+// approaching a cone [N^2].
 struct Objective {
   double force_weight = 1.0, barrier_weight = 0.01;
 };

@@ -61,10 +61,10 @@ class NumberReader {
   static std::string bytes(const std::string& path) {
     std::string out;
     if (std::FILE* file = std::fopen(path.c_str(), "rb")) {
-      char part[4096];
-      for (std::size_t got;
-           out.size() <= LARGEST_FILE && (got = std::fread(part, 1, sizeof part, file)) > 0;)
-        out.append(part, got);
+      char buffer[4096];
+      for (std::size_t count;
+           out.size() <= LARGEST_FILE && (count = std::fread(buffer, 1, sizeof buffer, file)) > 0;)
+        out.append(buffer, count);
       std::fclose(file);
     }
     return out;

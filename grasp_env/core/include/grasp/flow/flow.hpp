@@ -140,8 +140,8 @@ template <class V, int B> class FlowSolver {
     double length = 0.0, before = 0.0, size = 0.0;  // |d_k|^2, |d_{k-1}|^2, |x_k|^2
     int k = 0, trials = 0;
 
-    bool moves(double part) const {
-      return alpha * alpha * length > part * part * size;
+    bool moves(double fraction) const {
+      return alpha * alpha * length > fraction * fraction * size;
     }  // x moves by more than this fraction of it
   };
   struct Bound {
@@ -171,8 +171,8 @@ template <class V, int B> class FlowSolver {
     bool due(const FlowProgress& at) const {
       return (at.k >= next || at.value <= goal) && at.gained <= tolerance * at.value;
     }
-    void take(const Bound& found, const FlowProgress& at) {
-      if (found.value >= best.value) best = found;
+    void take(const Bound& candidate, const FlowProgress& at) {
+      if (candidate.value >= best.value) best = candidate;
       const double bound = best.value;
       const double gap = at.value - bound;
       const bool close = bound > 0.0 && gap < CLOSE * bound;
@@ -183,9 +183,9 @@ template <class V, int B> class FlowSolver {
     static constexpr double CLOSE = 1e-2, SHORT = 300.0;
   };
 
-  template <class F> double total_of(F&& part) const {
+  template <class F> double total_of(F&& term) const {
     V total{};
-    for (int b = 0; b < int(step_.size()); ++b) total += part(b);
+    for (int b = 0; b < int(step_.size()); ++b) total += term(b);
     return sum(total);
   }
 
@@ -234,7 +234,7 @@ template <class V, int B> class FlowSolver {
   // Lower bound of min Phi from the Newton multipliers at on.x; -inf: no bound.
   [[gnu::noinline]] static Bound bound_at(NewtonSolver<V, B>& on, const Vec6& w) {
     if (!on.system.assemble(on.cones, on.x)) return {-infinity, {}};
-    const Vec6 nu = on.system.multipliers(on.system.made + w);
+    const Vec6 nu = on.system.multipliers(on.system.applied + w);
     return {on.cones.lower_bound(nu, w), nu};
   }
 
@@ -250,7 +250,7 @@ template <class V, int B> class FlowSolver {
   }
 
   // Phi at a point along the step where its slope is as small as the rule requires: Newton on the
-  // slope, kept in a bracket; inf: not found.
+  // slope, kept in a bracket; inf: none.
   template <class Ahead, class Slope, class Bend>
   double search(FlowProgress& at, Ahead&& ahead, Slope&& slope, Bend&& bend) const {
     double low = 0.0, high = infinity;

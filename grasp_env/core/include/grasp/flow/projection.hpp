@@ -166,8 +166,8 @@ template <class V, int B> class Projection {
       column[b] = {V{}, V{}, V{}};
       for (int r = 0; r < 6; ++r) column[b] += all<V>(get(rows_[r][from][a], lane)) * rows_[r][b];
     }
-    V& own = column[from][a];
-    set(own, lane, get(own, lane) - PER[a]);
+    V& entry = column[from][a];
+    set(entry, lane, get(entry, lane) - PER[a]);
   }
 
   // Q_bar = Pi S^T and Q = S Pi S^T, S: (u, o, t) -> vec(P)

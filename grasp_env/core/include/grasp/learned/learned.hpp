@@ -68,9 +68,9 @@ struct Model {
     for (int k = 0; k < lengths; ++k)
       features[7 + k] = __builtin_sqrtf(o[k] * o[k] + t[k] * t[k] + smooth);
     features[7 + lengths] = float((friction - by.friction_mean) / by.friction_scale);
-    const float* said = network(features);
+    const float* outputs = network(features);
     for (std::size_t k = 0; k < std::size(coordinates); ++k)
-      coordinates[k] = size * scale * said[k];
+      coordinates[k] = size * scale * outputs[k];
   }
 };
 

@@ -1,9 +1,9 @@
-// A trained model for the contacts of one grasp as one file. Python writes it
+// The file of a trained model for the contacts of one grasp. Python writes it
 // (`LearnedInitialForce.export`); C++ reads it without Python.
 //
-// Kind "GRASPM3
-// " of `number_file.hpp`: number of sizes and sizes of the network, the other numbers of `Model`,
-// length and numbers of the null space, then the weights of the network and of `pairs` as floats.
+// `KIND` and hash of `number_file.hpp`, number of sizes and sizes of the network, the other numbers
+// of `Model`, length and numbers of the null space, the weights of the network and of `pairs` as
+// floats.
 #pragma once
 #include <stdexcept>
 #include <grasp/learned/learned.hpp>

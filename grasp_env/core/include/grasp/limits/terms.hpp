@@ -218,12 +218,12 @@ template <class V, int B> class LimitTerms {
     return Verdict::sharpened;
   }
 
-  // With multipliers y >= 0 and q = sum y a - G^T nu, a balanced force has
-  // sum q . x = sum y a . x + nu . w. In the cones and within limits raised by t this is at least
-  // -sum delta u_max, where delta is the distance of q from the dual cone, and at most sum y (b + t
-  // share) + nu . w. So value + t share >= 0: value < 0 proves that no force keeps the limits, and
-  // -value / share is a lower bound on t. Contacts whose u_max no row bounds have nu changed (see
-  // `find_shift`) until their delta is zero.
+  // With multipliers y >= 0 and q = sum y a - G^T nu, a balanced force has sum q . x = sum y a . x
+  // + nu . w. In the cones and within limits raised by t this is at least -sum delta u_max, where
+  // delta is the distance of q from the dual cone, and at most sum y (b + t share) + nu . w. So
+  // value + t share >= 0: value < 0 proves that no force keeps the limits, and -value / share is a
+  // lower bound on t. Contacts whose u_max no row bounds have nu changed (see `find_shift`) until
+  // their delta is zero.
   struct Farkas {
     double value, share, size;  // size: sum of the absolute terms of value
     Vec6 nu;

@@ -280,7 +280,7 @@ template <int W> class ConicGrasps {
     const auto answer = steps.answer(lanes_.minus, scale, g.force);
     g.nu = answer.theta * g.nu;
     g.bound = answer.bound;
-    g.objective = answer.price;
+    g.objective = answer.objective;
     g.trials = g.iterations;
     good &= g.check(cones) & (g.margin >= 0.0) & (answer.gap() <= lanes_.options.tolerance);
     g.write(problems, good, cones);
@@ -319,9 +319,9 @@ void solve_grasps(const Grasps& grasps, const SolveBatch& many, Group& group, F&
     const auto from = std::ptrdiff_t(grasps.first[u]);
     const auto until = std::ptrdiff_t(grasps.first[u + 1]);
     if (until - from >= W || !grasps.is_solvable(u)) {
-      const SolveBatch part{until - from, many.wrench(from),
-                            many.rows + record_size(grasps.contacts) * from};
-      if (!grasps.is_solvable(u) || !one(grasps.with_weights(u), part))
+      const SolveBatch batch{until - from, many.wrench(from),
+                             many.rows + record_size(grasps.contacts) * from};
+      if (!grasps.is_solvable(u) || !one(grasps.with_weights(u), batch))
         for (std::ptrdiff_t k = from; k < until; ++k) refuse(k);
       continue;
     }
@@ -346,10 +346,10 @@ inline void newton_grasps(const Grasps& grasps, const StopRule& options, const S
   dispatch(grasps.contacts, [&]<class V, int B>() {
     NewtonSolver<V, B> one(grasps.contacts);
     auto rest = one.cones.field();
-    solve_grasps(grasps, many, group, [&](const Contacts& contacts, const SolveBatch& part) {
+    solve_grasps(grasps, many, group, [&](const Contacts& contacts, const SolveBatch& batch) {
       one.cones.pack(contacts);
       const bool closes = one.find_rest(rest, true);
-      if (closes) newton_many(one, rest, options, part);
+      if (closes) newton_many(one, rest, options, batch);
       return closes;
     });
   });
@@ -361,11 +361,11 @@ inline void conic_grasps(const Grasps& grasps, const StopRule& options, const So
   dispatch(grasps.contacts, [&]<class V, int B>() {
     NewtonSolver<V, B> newton(grasps.contacts);
     ConicSolver<V, B> one(grasps.contacts, options);
-    solve_grasps(grasps, many, group, [&](const Contacts& contacts, const SolveBatch& part) {
+    solve_grasps(grasps, many, group, [&](const Contacts& contacts, const SolveBatch& batch) {
       newton.cones.pack(contacts);
       one.cones.pack(contacts);
       if (!newton.find_rest(one.rest, true)) return false;
-      conic_many(one, part);
+      conic_many(one, batch);
       return true;
     });
   });

@@ -80,7 +80,7 @@ template <int W> class NewtonLanes {
     const double tolerance = options.tolerance;
     Mask open = live & system_.assemble(cones, x) &
                 (iterations < double(std::min(options.limit, PATIENCE)));
-    const Six<V> left = system_.made + wrench;
+    const Six<V> left = system_.applied + wrench;
     nu = system_.multipliers(left);
     NoRows none;
     const auto [decrement, reach] = system_.step(cones, x, nu, left, value, step_, none);
@@ -158,7 +158,7 @@ template <int W> class ConicLanes {
   Mask begin() {
     steps.start(minus);
     iterations = V{};
-    return steps.gap > options.tolerance * steps.price;
+    return steps.gap > options.tolerance * steps.objective;
   }
 
   // Load the start of a problem; write back its last iterate and return its number of iterations.
@@ -172,7 +172,7 @@ template <int W> class ConicLanes {
       set(minus[r], lane, w[r]);
     }
     set(steps.gap, lane, from.gap);
-    set(steps.price, lane, from.price);
+    set(steps.objective, lane, from.objective);
     set(iterations, lane, 0.0);
   }
   template <class C, int B> int end(int lane, ConicSteps<C, B>& to) const {
@@ -188,7 +188,7 @@ template <int W> class ConicLanes {
     const auto solve = [&](const Six<V>& pull) { return steps.schur.solve(pull); };
     const Mask moved = sound & steps.template step<false>(solve(minus), solve);
     iterations += 1.0;
-    return {moved & (steps.gap <= options.tolerance * steps.price), live & ~moved};
+    return {moved & (steps.gap <= options.tolerance * steps.objective), live & ~moved};
   }
 
  private:
@@ -297,7 +297,7 @@ template <class V, int B> void conic_many(ConicSolver<V, B>& one, const SolveBat
     const Record record = many.record(k, count);
     if (!one.begin_record(many.wrench(k), posed[lane], record)) return false;
     one.start(posed[lane].minus);
-    if (one.gap <= one.options.tolerance * one.price) {  // the start is good enough
+    if (one.gap <= one.options.tolerance * one.objective) {  // the start is good enough
       one.solve(many.wrench(k), record);
       return false;
     }

@@ -12,11 +12,11 @@ namespace grasp {
 struct JacobiRotations {
   // smallest ratio of singular values of G in the unit frame that counts as rank 6
   static constexpr double RANK = 1e-8;
-  std::vector<double>& rows;  // rotated in place: `turn` times the given rows
+  std::vector<double>& rows;  // rotated in place: `turn` times the matrix
   int size;
   double turn[6][6] = {}, value[6] = {}, most = 0.0, fewest = infinity;
 
-  JacobiRotations(std::vector<double>& given, int columns) : rows(given), size(columns) {
+  JacobiRotations(std::vector<double>& matrix, int columns) : rows(matrix), size(columns) {
     for (int r = 0; r < 6; ++r) turn[r][r] = 1.0;
     for (int sweep = 0, again = 1; again && sweep < 60; ++sweep) {
       again = 0;

@@ -45,7 +45,7 @@ template <class V, int B> class LeastExcess {
       });
       if (!good) return out;
       const Border border = bordered(cones, system, curvature);
-      const Vec6 left = system.made + w;
+      const Vec6 left = system.applied + w;
       // predictor: aims at zero products
       ExcessStep step = direct(cones, rows, system, border, left, -1.0, x);
       const double after = reached(cones, rows, x, step);

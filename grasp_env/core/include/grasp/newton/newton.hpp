@@ -76,7 +76,7 @@ template <class V, int B, class Rows = NoRows> class NewtonSolver {
   // Take one more full step from a converged x, to the last digits, if it does not raise Phi.
   void polish(const Vec6& w) {
     if (!system.assemble(cones, x)) return;
-    const Vec6 left = system.made + w;
+    const Vec6 left = system.applied + w;
     const double value = cones.phi(x);
     find_step(system.multipliers(left), left, value);
     if (cones.phi_along(x, step_, 1.0) <= value)
@@ -87,7 +87,7 @@ template <class V, int B, class Rows = NoRows> class NewtonSolver {
   // axes. few: only as many steps as are nearly always enough. Return false without force closure.
   bool internal_force(bool few = false) {
     const auto plain = [&](Vec6& missed) { return system.internal_step(cones, x, missed, step_); };
-    const auto careful = [&](Vec6& missed) {  // the barrier and any part of the price
+    const auto careful = [&](Vec6& missed) {  // the barrier and any part of the squeezing cost
       if (!qr_system.assemble(cones, x, missed = cones.wrench(x), step_, centring_)) return false;
       const double part = reachable_part(0.0);
       for (int b = 0; b < int(x.size()); ++b) step_[b] = all<V>(part) * step_[b] + centring_[b];
@@ -138,7 +138,8 @@ template <class V, int B, class Rows = NoRows> class NewtonSolver {
   static constexpr int PATIENCE = Rows::has_terms ? 80 : 40;
   // the same along the central path: 40 unless hardly any force is inside
   static constexpr int LONGEST = 400;
-  static constexpr double AHEAD = 3.0;  // factor on the part of the price to which x is nearest
+  // factor on the part of the squeezing cost to which x is nearest
+  static constexpr double AHEAD = 3.0;
   // largest balance residual of a start, as a fraction of wrench and force
   static constexpr double MISSED = 1e-8;
   Field step_, begun_, best_, centring_;
@@ -190,7 +191,7 @@ template <class V, int B, class Rows = NoRows> class NewtonSolver {
     const auto closed = [&] { return certified(call, at.value, at); };
     const auto find = [&](Code& code) {
       if (!assemble()) return Next::stop;
-      const Vec6 left = system.made + w;
+      const Vec6 left = system.applied + w;
       at.nu = system.multipliers(left);
       step = find_step(at.nu, left, at.value);
       if (leaping) {
@@ -246,7 +247,7 @@ template <class V, int B, class Rows = NoRows> class NewtonSolver {
   }
 
   // Newton along the central path from x. Every step aims at the optimum of the barrier plus the
-  // largest part of the squeezing price for which that optimum is within reach. So forces approach
+  // largest part of the squeezing cost for which that optimum is within reach. So forces approach
   // the cones late: near a curved surface steps are short and digits are lost.
   [[gnu::cold, gnu::noinline]] Code follow_central_path(const Call& call, const Vec6& w,
                                                         DescentProgress& at) {
@@ -284,8 +285,8 @@ template <class V, int B, class Rows = NoRows> class NewtonSolver {
         at, call, LONGEST, find, [&] { return certified(call, at.value, at); }, advance);
   }
 
-  // The largest part of the price that a full step of `follow_central_path` may aim at: at least
-  // that to which x is nearest, and not far beyond, where x would crawl along a surface.
+  // The largest part of the squeezing cost that a full step of `follow_central_path` may aim at: at
+  // least that to which x is nearest, and not far beyond, where x would crawl along a surface.
   double reachable_part(double before) const {
     const auto reach = [&](double part) {
       V most{};

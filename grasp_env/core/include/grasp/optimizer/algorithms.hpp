@@ -5,7 +5,7 @@
 
 namespace grasp::detail {
 
-// Solves one call: the record of `on` receives the answer, its multipliers those of the limits.
+// Solves one call into the record of `on` and the multipliers of its limits.
 template <class V, int B> class Algorithms {
  public:
   Algorithms(Solvers<V, B>& on, CallState& call)
@@ -17,10 +17,10 @@ template <class V, int B> class Algorithms {
         cones_(on.newton.cones) {}
 
   // Run the planned algorithm. If a start that depends on more than contacts and wrench leads to no
-  // answer, solve again from the method's own start.
+  // answer, solve again from the default start.
   Code solve() {
     const Code code = run();
-    if (code == CONVERGED || code == INFEASIBLE || starts_.has_own()) return code;
+    if (code == CONVERGED || code == INFEASIBLE || starts_.is_default()) return code;
     const bool sound = is_sound(on_, code, record_);
     return code == REFUSED || (sound && code != STALLED) ? code : solve_again(code, sound);
   }
@@ -43,8 +43,8 @@ template <class V, int B> class Algorithms {
     }
     if (code == INFEASIBLE && kind != ProblemKind::soft) return write_proof();
     if (code == REFUSED || on_.has_flow()) return code;
-    const Code made = general({call_.stop.tolerance, 0});
-    return made == CONVERGED || made == STALLED || made == LIMIT ? STARTED : made;
+    const Code answer = general({call_.stop.tolerance, 0});
+    return answer == CONVERGED || answer == STALLED || answer == LIMIT ? STARTED : answer;
   }
 
  private:
@@ -57,21 +57,21 @@ template <class V, int B> class Algorithms {
   const Vec6& w_;
   const Cones<V, B>& cones_;
 
-  // Solve again from the method's own start, within the steps that are left. The first force stays
+  // Solve again from the default start, within the steps that are left. The first force stays
   // if it is sound, unless the second answer is proven or better.
   [[gnu::cold, gnu::noinline]] Code solve_again(Code first, bool sound) {
     const Summary before = record_.summary();
     if (sound) on_.kept = on_.answer;
     const int spent = std::min(int(before.iterations), call_.stop.limit);
     const auto trace =
-        call_.ask.trace.subspan(std::min(std::size_t(spent), call_.ask.trace.size()));
+        call_.request.trace.subspan(std::min(std::size_t(spent), call_.request.trace.size()));
     const double traced = trace.empty() ? 0.0 : trace[0];
-    const Request again{.wrench = call_.ask.wrench,
-                        .start = starts_.own(),
-                        .optimum = call_.ask.optimum,
+    const Request again{.wrench = call_.request.wrench,
+                        .start = starts_.default_start(),
+                        .optimum = call_.request.optimum,
                         .trace = trace};
     CallState second{
-        .ask = again, .stop = {call_.stop.tolerance, call_.stop.limit - spent}, .w = w_};
+        .request = again, .stop = {call_.stop.tolerance, call_.stop.limit - spent}, .w = w_};
     const Code code = Algorithms(on_, second).run();
     const bool proven = code == CONVERGED || code == INFEASIBLE || code == LIMITS_EXCEEDED;
     const bool better =
@@ -90,7 +90,7 @@ template <class V, int B> class Algorithms {
   Code run() {
     Summary& s = record_.summary();
     s = Summary{};
-    std::copy_n(call_.ask.wrench, 6, s.wrench.begin());
+    std::copy_n(call_.request.wrench, 6, s.wrench.begin());
     const auto algorithm = algorithm_for(on_.options, on_.placement.kind);
     if (!algorithm) return on_.current.now.placing == Placing::rank_lost ? RANK_LOST : REFUSED;
     switch (*algorithm) {
@@ -110,17 +110,17 @@ template <class V, int B> class Algorithms {
   }
   void clear_record() {
     record_.clear();
-    std::copy_n(call_.ask.wrench, 6, record_.summary().wrench.begin());
+    std::copy_n(call_.request.wrench, 6, record_.summary().wrench.begin());
   }
   // Record a proof that uses only the cones.
   Code write_proof() {
     std::fill(on_.answer.multipliers.begin(), on_.answer.multipliers.end(), 0.0);
     return record_.refute((1.0 / grasp::size(call_.twist)) * call_.twist, grasp::size(w_));
   }
-  // Begin from the previous solution if the call starts from one. Return false otherwise.
+  // Begin from the previous solution. Return false if the call does not.
   bool follows_previous(Call& call) {
     call_.used = {.start = starts_.requested()};
-    if (call_.used.start != Start::previous || !GivenForce(on_, call_.ask).load_previous())
+    if (call_.used.start != Start::previous || !GivenForce(on_, call_.request).load_previous())
       return false;
     take_given(call, From::tangent);
     return true;
@@ -141,7 +141,7 @@ template <class V, int B> class Algorithms {
       code = on_.newton.descend_from(on_.begun, call_.from(), w_, record_);
     }
     if (code == REFUSED && call_.used.start == Start::given) return REFUSED;
-    if (!starts_.has_own()) return code == REFUSED ? UNDECIDED : code;
+    if (!starts_.is_default()) return code == REFUSED ? UNDECIDED : code;
     if (code == REFUSED) return general();
     if (code != STALLED || call_.is_study()) return code;
     General* program = on_.general();
@@ -162,8 +162,9 @@ template <class V, int B> class Algorithms {
     Code begun = CONVERGED;
     const bool follows = follows_previous(call);
     if (follows)
-      call.exceeding = call_.ask.previous &&
-                       Record(const_cast<double*>(call_.ask.previous)).code() == LIMITS_EXCEEDED;
+      call.exceeding =
+          call_.request.previous &&
+          Record(const_cast<double*>(call_.request.previous)).code() == LIMITS_EXCEEDED;
     const auto begin = [&](const Vec6&, bool previous) {
       if (previous)
         begun = starts_.carry_previous() ? CONVERGED : UNDECIDED;
@@ -179,22 +180,22 @@ template <class V, int B> class Algorithms {
     }
     if (begun == INFEASIBLE) return write_proof();
     if (begun == REFUSED) return REFUSED;
-    return starts_.has_own() ? general() : UNDECIDED;
+    return starts_.is_default() ? general() : UNDECIDED;
   }
-  // Write the multipliers of an answer of `within_limits`: of an optimum of Phi, or of a proof.
+  // Write the multipliers of an optimum of Phi or of a proof.
   void write_multipliers(Code code) {
     std::vector<double>& multipliers = on_.answer.multipliers;
     const LimitTable& table = on_.current.table;
     if (code == INFEASIBLE) {
       const double scale = on_.limited->proof_scale;
       on_.limited->newton.rows.multipliers(
-          [&](int m, double price) { multipliers[m] = scale * price / table.sizes[m]; });
+          [&](int m, double multiplier) { multipliers[m] = scale * multiplier / table.sizes[m]; });
     } else {
-      for (int k = 0; k < int(table.owners.size()); ++k) multipliers[k] = price_at_optimum(k);
+      for (int k = 0; k < int(table.owners.size()); ++k) multipliers[k] = multiplier_at_optimum(k);
     }
   }
-  // Price of the k-th row of the current contacts at an optimum of Phi.
-  double price_at_optimum(int k) const {
+  // Multiplier of the k-th row of the current contacts at an optimum of Phi.
+  double multiplier_at_optimum(int k) const {
     const LimitTable& table = on_.current.table;
     const int i = table.owners[k];
     double slack = table.bounds[k];
@@ -216,7 +217,7 @@ template <class V, int B> class Algorithms {
     };
     const Code code = soft.solve(call, record_, begin);
     if (code != REFUSED) return code;
-    return starts_.has_own() ? general() : UNDECIDED;
+    return starts_.is_default() ? general() : UNDECIDED;
   }
 
   Code conic() {
@@ -227,7 +228,7 @@ template <class V, int B> class Algorithms {
       if (interior == INFEASIBLE) return write_proof();
       if (!on_.has_internal_force(Search::thorough)) return general();
     }
-    const Code code = on_.conic().solve(call_.ask.wrench, record_);
+    const Code code = on_.conic().solve(call_.request.wrench, record_);
     if (code == REFUSED) return general();
     if (code == CONVERGED) return code;
     General* program = on_.general();
@@ -236,7 +237,6 @@ template <class V, int B> class Algorithms {
 
   // --- the general program
 
-  // Run the general program from its own centre, a given force or the previous solution.
   Code general() { return general(call_.stop); }
   Code general(const StopRule& stop) {
     General* program = on_.general();
@@ -244,7 +244,7 @@ template <class V, int B> class Algorithms {
     Code code = REFUSED;
     if (on_.options.method == Method::conic) {
       call_.used.start = Start::central;
-      code = program->least_normal(call_.ask.wrench, on_.options.criterion, stop, record_);
+      code = program->least_normal(call_.request.wrench, on_.options.criterion, stop, record_);
     } else {
       code = minimise_phi(*program, stop);
     }
@@ -255,7 +255,7 @@ template <class V, int B> class Algorithms {
   Code minimise_phi(General& program, const StopRule& stop) {
     Call call = call_.from(From::combination);
     UsedStart& used = call_.used;
-    GivenForce given(on_, call_.ask);
+    GivenForce given(on_, call_.request);
     const Start start = starts_.requested();
     used.start = Start::phase_one;
     if (start == Start::given) {
@@ -266,9 +266,10 @@ template <class V, int B> class Algorithms {
       used.start = start;
       take_given(call, From::tangent);
     }
-    const bool own = start == Start::internal_force || start == Start::phase_one ||
-                     (start == Start::previous && !call_.ask.previous && call_.ask.force.empty());
-    used.replaced = !own && (used.start == Start::phase_one || !program.starts_from(call));
+    const bool is_default =
+        start == Start::internal_force || start == Start::phase_one ||
+        (start == Start::previous && !call_.request.previous && call_.request.force.empty());
+    used.replaced = !is_default && (used.start == Start::phase_one || !program.starts_from(call));
     if (used.replaced) {
       used.start = Start::phase_one;
       call.start = From::combination;
@@ -294,7 +295,7 @@ template <class V, int B> class Algorithms {
     auto& newton = on_.newton;
     const Contacts& now = on_.current.now;
     const Record record(newton.row.data(), now.count);
-    const Call call{.wrench = call_.ask.wrench, .stop = {call_.stop.tolerance, limit}};
+    const Call call{.wrench = call_.request.wrench, .stop = {call_.stop.tolerance, limit}};
     grasp::begin(cones_, on_.internal_force(), w_, newton.x);
     Code code = REFUSED;
     if (now.soft()) {

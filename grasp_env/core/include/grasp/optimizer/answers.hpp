@@ -1,11 +1,10 @@
-// The answer of a call: is it sound, and how it becomes a row of all contacts.
+// Checks the answer of a call and writes it as a row of all contacts.
 #pragma once
 #include <grasp/optimizer/call_state.hpp>
 #include <grasp/optimizer/solvers.hpp>
 
 namespace grasp::detail {
 
-// Write how many contacts, joints and limits a row is about.
 inline void write_sizes(const CurrentContacts& current, Summary& s) {
   s.contacts = current.home.count;
   s.joints = current.joints;
@@ -13,16 +12,15 @@ inline void write_sizes(const CurrentContacts& current, Summary& s) {
 }
 // Begin the row of a call: its sizes and its wrench.
 template <class V, int B>
-Record open_row(const Solvers<V, B>& on, const Request& ask, double* row) {
+Record open_row(const Solvers<V, B>& on, const Request& request, double* row) {
   Summary& s = *reinterpret_cast<Summary*>(row);
   s = Summary{};
   write_sizes(on.current, s);
-  if (is_valid_wrench(ask.wrench)) std::copy_n(ask.wrench, 6, s.wrench.begin());
+  if (is_valid_wrench(request.wrench)) std::copy_n(request.wrench, 6, s.wrench.begin());
   return Record(row);
 }
 
-// True if the outcome can be used: an optimum, a proof, or a force that is balanced and inside the
-// cones.
+// True for an optimum, a proof, or a force that is balanced and inside the cones.
 template <class V, int B> bool is_sound(const Solvers<V, B>& on, Code code, const Record& record) {
   // fraction of the largest force: effect of its rounding on balance
   constexpr double ROUNDED = 1e-13;
@@ -38,27 +36,25 @@ template <class V, int B> bool is_sound(const Solvers<V, B>& on, Code code, cons
          grasp::size(s.multipliers) < infinity;
 }
 
-// Writes the answer of a call, which is about the contacts that touch, as a row of all contacts.
 template <class V, int B> class AnswerWriter {
  public:
   AnswerWriter(Solvers<V, B>& on, const CallState& call)
       : on_(on), current_(on.current), call_(call) {}
 
-  // Write an optimum, a proof, or that there is neither. Rounding may leave no usable force:
-  // UNDECIDED.
+  // Write an optimum, a proof, or neither. If rounding left no usable force: UNDECIDED.
   Code write(Code code, const Record& out) {
     const bool usable = !Record::has_force(code) || is_sound(on_, code, on_.record());
     code = usable ? code : UNDECIDED;
     if (code == INFEASIBLE) return write_proof(out);
     if (!Record::has_force(code)) return write_nothing(code, out);
     write_force(code, out);
-    const bool priced = code != LIMITS_EXCEEDED;
+    const bool optimal = code != LIMITS_EXCEEDED;
     current_.fill_multipliers(out.limit_multipliers(),
-                              [&](int row) { return priced ? on_.answer.multipliers[row] : 0.0; });
+                              [&](int row) { return optimal ? on_.answer.multipliers[row] : 0.0; });
     if (code == LIMITS_EXCEEDED) out.summary().objective = out.summary().limit_excess;
     return code;
   }
-  // Write a start. It may miss balance by what is allowed for given forces, and has no multipliers.
+  // Write a start. Its balance may be as inexact as that of a given force; it has no multipliers.
   Code write_start(Code code, const Record& out) {
     if (code == INFEASIBLE) return write_proof(out);
     const bool usable = code == STARTED && on_.record().summary().objective < infinity;
@@ -86,8 +82,8 @@ template <class V, int B> class AnswerWriter {
   }
   Code write_proof(const Record& out) {
     write_nothing(INFEASIBLE, out);
-    const Record found = on_.record();
-    const Summary& from = found.summary();
+    const Record record = on_.record();
+    const Summary& from = record.summary();
     Summary& s = out.summary();
     s.iterations = from.iterations;
     s.trials = from.trials;

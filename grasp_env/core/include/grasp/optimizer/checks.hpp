@@ -1,4 +1,4 @@
-// What the constructor of `ForceOptimizer` refuses.
+// Checks of the arguments of the constructor of `ForceOptimizer`.
 #pragma once
 #include <grasp/flow/flow.hpp>
 #include <grasp/optimizer/current_contacts.hpp>

@@ -1,26 +1,26 @@
-// The contacts and limits of one call: those of the problem, with the changes that the call brings.
+// The contacts and limits of one call: the problem's, with the changes of the call.
 #pragma once
 #include <grasp/problem.hpp>
 
 namespace grasp::detail {
 
-// Limits that own their numbers.
-class OwnLimits {
+// A copy of the limits of a problem.
+class StoredLimits {
  public:
   std::vector<double> min_normal, max_normal, jacobian, torque_limit, torque_bias;
   int rows = 0;  // number of finite limits
 
-  OwnLimits() = default;
+  StoredLimits() = default;
   // Throws std::invalid_argument.
-  OwnLimits(const ForceLimits& from, int count)
+  StoredLimits(const ForceLimits& from, int count)
       : min_normal(from.min_normal.begin(), from.min_normal.end()),
         max_normal(from.max_normal.begin(), from.max_normal.end()),
         jacobian(from.jacobian.begin(), from.jacobian.end()),
         torque_limit(from.torque_limit.begin(), from.torque_limit.end()),
         torque_bias(from.torque_bias.begin(), from.torque_bias.end()) {
     const std::size_t size = std::size_t(count);
-    for (const auto* each : {&min_normal, &max_normal})
-      if (!each->empty() && each->size() != size)
+    for (const auto* values : {&min_normal, &max_normal})
+      if (!values->empty() && values->size() != size)
         throw std::invalid_argument("limits of normal forces must be one of each contact, or none");
     if (jacobian.size() != 3 * size * joints() && jacobian.size() != 6 * size * joints())
       throw std::invalid_argument(
@@ -28,11 +28,11 @@ class OwnLimits {
     if (torque_bias.empty()) torque_bias.resize(joints());
     if (torque_bias.size() != joints())
       throw std::invalid_argument("torque_bias must be (J,), or none");
-    for (const auto* each : {&min_normal, &max_normal, &torque_limit})
-      for (double value : *each)
+    for (const auto* values : {&min_normal, &max_normal, &torque_limit})
+      for (double value : *values)
         if (!(value >= 0.0)) throw std::invalid_argument("limits must be numbers >= 0");
-    for (const auto* each : {&jacobian, &torque_bias})
-      for (double value : *each)
+    for (const auto* values : {&jacobian, &torque_bias})
+      for (double value : *values)
         if (!(std::abs(value) <= LARGEST))
           throw std::invalid_argument("the jacobian and torque_bias must be finite, up to 1e12");
     rows = view().many();
@@ -44,7 +44,7 @@ class OwnLimits {
 class CurrentContacts {
  public:
   Contacts home, now;  // of the problem; of this call, without those that do not touch
-  OwnLimits limits;
+  StoredLimits limits;
   int joints;
   LimitTable table;  // limits of the current contacts, if each acts on one contact
   // (n,) torsion in units of its limit / torsion [1 / m]; inf: not soft
@@ -70,18 +70,18 @@ class CurrentContacts {
   }
   // Take over the contacts and limits of a call. Return CONVERGED, REFUSED, or RANK_LOST if no
   // contact makes a wrench.
-  Code load_call(const Changes& given) {
+  Code load_call(const Changes& changes) {
     const int all = home.count;
     const std::size_t triples = std::size_t(3 * all);
-    if ((!given.positions.empty() && given.positions.size() != triples) ||
-        (!given.normals.empty() && given.normals.size() != triples) ||
-        (!given.jacobian.empty() && given.jacobian.size() != limits.jacobian.size()) ||
-        (!given.torque_bias.empty() && given.torque_bias.size() != std::size_t(joints)))
+    if ((!changes.positions.empty() && changes.positions.size() != triples) ||
+        (!changes.normals.empty() && changes.normals.size() != triples) ||
+        (!changes.jacobian.empty() && changes.jacobian.size() != limits.jacobian.size()) ||
+        (!changes.torque_bias.empty() && changes.torque_bias.size() != std::size_t(joints)))
       return REFUSED;
     const double* positions =
-        given.positions.empty() ? home.positions.data() : given.positions.data();
-    const double* normals = given.normals.empty() ? home.normals.data() : given.normals.data();
-    const std::uint64_t mask = touching(given.contacts);
+        changes.positions.empty() ? home.positions.data() : changes.positions.data();
+    const double* normals = changes.normals.empty() ? home.normals.data() : changes.normals.data();
+    const std::uint64_t mask = touching(changes.contacts);
     const bool all_touch = mask == touching(~std::uint64_t(0));
     if (all_touch) {
       for (int i = 0; i < all; ++i) chosen[i] = i;
@@ -100,31 +100,32 @@ class CurrentContacts {
       positions = gathered_.data();
       normals = gathered_.data() + 3 * all;
     }
-    if (const std::size_t many = given.friction.size(); many > 0) {
-      if (many != 1 && many != std::size_t(all) && many != 2 * std::size_t(all)) return REFUSED;
-      for (std::size_t j = 0; j < many; ++j) {
+    if (const std::size_t size = changes.friction.size(); size > 0) {
+      if (size != 1 && size != std::size_t(all) && size != 2 * std::size_t(all)) return REFUSED;
+      for (std::size_t j = 0; j < size; ++j) {
         const bool touches =
-            all_touch || many == 1 || mask >> (many == std::size_t(all) ? j : j / 2) & 1;
-        if (touches && !(given.friction[j] >= 0.0 && given.friction[j] <= LARGEST)) return REFUSED;
+            all_touch || size == 1 || mask >> (size == std::size_t(all) ? j : j / 2) & 1;
+        if (touches && !(changes.friction[j] >= 0.0 && changes.friction[j] <= LARGEST))
+          return REFUSED;
       }
-      now.set_friction(given.friction, {chosen.data(), std::size_t(now.count)}, all);
+      now.set_friction(changes.friction, {chosen.data(), std::size_t(now.count)}, all);
     }
     const Placing placed = now.place(positions, normals);
     if (placed == Placing::refused) return REFUSED;
     if (now.reach.rank == 0) return RANK_LOST;
     for (int i = 0; i < now.count; ++i)
       divisor[i] = now.torsion[i] > 0.0 ? now.scale[3 * i] / now.torsion[i] : infinity;
-    return load_limits(given) ? CONVERGED : REFUSED;
+    return load_limits(changes) ? CONVERGED : REFUSED;
   }
 
-  // Make the contacts of the last `load_call`, all of which touch, those of the problem; its
-  // Jacobian and torque bias too.
-  void take_over(const Changes& given) {
+  // Make the contacts of the last `load_call`, all of which touch, the problem's, and its Jacobian
+  // and torque bias.
+  void take_over(const Changes& changes) {
     home = now;
-    if (!given.jacobian.empty())
-      limits.jacobian.assign(given.jacobian.begin(), given.jacobian.end());
-    if (!given.torque_bias.empty())
-      limits.torque_bias.assign(given.torque_bias.begin(), given.torque_bias.end());
+    if (!changes.jacobian.empty())
+      limits.jacobian.assign(changes.jacobian.begin(), changes.jacobian.end());
+    if (!changes.torque_bias.empty())
+      limits.torque_bias.assign(changes.torque_bias.begin(), changes.torque_bias.end());
   }
 
   // Limits of the current contacts, with the Jacobian (n, 4, J) in contact frames.
@@ -190,9 +191,9 @@ class CurrentContacts {
   Doubles jacobian_{}, bias_{};
 
   // Return false if the numbers are not finite.
-  bool load_limits(const Changes& given) {
-    jacobian_ = given.jacobian.empty() ? Doubles(limits.jacobian) : given.jacobian;
-    bias_ = given.torque_bias.empty() ? Doubles(limits.torque_bias) : given.torque_bias;
+  bool load_limits(const Changes& changes) {
+    jacobian_ = changes.jacobian.empty() ? Doubles(limits.jacobian) : changes.jacobian;
+    bias_ = changes.torque_bias.empty() ? Doubles(limits.torque_bias) : changes.torque_bias;
     separate = true;
     if (joints) turn_jacobian();
     if (!limits.rows) return true;

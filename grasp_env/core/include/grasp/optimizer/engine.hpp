@@ -11,9 +11,9 @@ class alignas(64) Engine {
  public:
   virtual ~Engine() = default;
   virtual std::unique_ptr<Engine> clone() const = 0;
-  virtual Code solve(const Request& ask, double* row) = 0;
+  virtual Code solve(const Request& request, double* row) = 0;
   // Write the start alone into a record.
-  virtual Code start(const Request& ask, double* row) = 0;
+  virtual Code start(const Request& request, double* row) = 0;
   virtual void solve_many(std::ptrdiff_t count, const double* wrenches, double* rows) = 0;
   virtual bool update(const Changes& now) = 0;
   virtual Deepest deepest(const double* wrench, double* force, double* torsion) = 0;
@@ -25,8 +25,8 @@ class alignas(64) Engine {
   virtual int size() const = 0;  // numbers in a row
 };
 
-// Make the solver for a problem. registers: REGISTER of the caller; files with other registers do
-// not link.
+// Construct the solver of a problem. registers: REGISTER of the caller; files with other registers
+// do not link.
 template <int registers>
 std::unique_ptr<Engine> make_engine(const Problem& problem, const Options& options);
 

@@ -1,20 +1,20 @@
-// Forces that a call brings: of the caller, or of the previous solution.
+// Forces of a call: the caller's, or the previous solution.
 #pragma once
 #include <grasp/optimizer/call_state.hpp>
 #include <grasp/optimizer/solvers.hpp>
 
 namespace grasp::detail {
 
-// Each function loads a force of the touching contacts into `given` and `newton.x`.
+// The functions load a force of the touching contacts into `given` and `newton.x`.
 template <class V, int B> class GivenForce {
  public:
-  GivenForce(Solvers<V, B>& on, const Request& ask) : on_(on), ask_(ask) {}
+  GivenForce(Solvers<V, B>& on, const Request& request) : on_(on), request_(request) {}
 
   // Load the caller's force (N, 3), without torsion. Return false if it has another size.
   bool load_force() {
-    if (ask_.force.size() != std::size_t(3 * on_.current.home.count)) return false;
+    if (request_.force.size() != std::size_t(3 * on_.current.home.count)) return false;
     for (int i = 0; i < on_.current.now.count; ++i) {
-      std::copy_n(&ask_.force[3 * on_.current.chosen[i]], 3, &force()[3 * i]);
+      std::copy_n(&request_.force[3 * on_.current.chosen[i]], 3, &force()[3 * i]);
       torsion()[i] = 0.0;
     }
     load();
@@ -22,8 +22,8 @@ template <class V, int B> class GivenForce {
   }
   // Load the previous solution in its current frames, or the caller's force if there is none.
   bool load_previous() {
-    if (!ask_.previous) return load_force() && on_.newton.cones.is_in_range(on_.newton.x);
-    const Record before(const_cast<double*>(ask_.previous));  // only read
+    if (!request_.previous) return load_force() && on_.newton.cones.is_in_range(on_.newton.x);
+    const Record before(const_cast<double*>(request_.previous));  // only read
     if (before.contacts() != on_.current.home.count || !before.has_force()) return false;
     for (int i = 0; i < on_.current.now.count; ++i) {
       const int of = on_.current.chosen[i];
@@ -54,13 +54,14 @@ template <class V, int B> class GivenForce {
   bool load_inside(General& program) {
     const auto& current = on_.current;
     const std::size_t all = current.home.count;
-    if (ask_.force.size() != 3 * all || (!ask_.torsion.empty() && ask_.torsion.size() != all))
+    if (request_.force.size() != 3 * all ||
+        (!request_.torsion.empty() && request_.torsion.size() != all))
       return false;
     double most = 0.0;
     for (int i = 0; i < current.now.count; ++i) {
-      const double* f = &ask_.force[3 * current.chosen[i]];
+      const double* f = &request_.force[3 * current.chosen[i]];
       std::copy_n(f, 3, &force()[3 * i]);
-      torsion()[i] = ask_.torsion.empty() ? 0.0 : ask_.torsion[current.chosen[i]];
+      torsion()[i] = request_.torsion.empty() ? 0.0 : request_.torsion[current.chosen[i]];
       if (torsion()[i] != 0.0 &&
           !(current.divisor[i] * std::abs(torsion()[i]) < current.now.scale[3 * i] * f[0]))
         return false;
@@ -69,13 +70,14 @@ template <class V, int B> class GivenForce {
     load();
     const auto& cones = on_.newton.cones;
     if (!cones.is_in_range(on_.newton.x) || !(cones.phi(on_.newton.x) < infinity)) return false;
-    const double missed = program.missed(ask_.wrench, force().data(), torsion().data());
-    return missed <= General::BALANCE_TOLERANCE * (most + grasp::size(cones.unit.of(ask_.wrench)));
+    const double missed = program.missed(request_.wrench, force().data(), torsion().data());
+    return missed <=
+           General::BALANCE_TOLERANCE * (most + grasp::size(cones.unit.of(request_.wrench)));
   }
 
  private:
   Solvers<V, B>& on_;
-  const Request& ask_;
+  const Request& request_;
 
   std::vector<double>& force() { return on_.given.force; }
   std::vector<double>& torsion() { return on_.given.torsion; }

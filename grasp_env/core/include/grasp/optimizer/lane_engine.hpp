@@ -12,20 +12,20 @@ template <class V, int B> class LaneEngine final : public Engine {
  public:
   LaneEngine(const Problem& problem, const Options& options) : on_(problem, options) {}
   std::unique_ptr<Engine> clone() const override {
-    auto made = std::make_unique<LaneEngine>(*this);
-    made->on_.place_home();  // space for all contacts, and no numbers of this object's last call
-    return made;
+    auto copy = std::make_unique<LaneEngine>(*this);
+    copy->on_.place_home();  // space for all contacts, and no numbers of this object's last call
+    return copy;
   }
   const Contacts& home() const override { return on_.current.home; }
   int size() const override {
     return record_size(home().count, on_.current.joints, on_.current.limits.rows);
   }
 
-  Code solve(const Request& ask, double* row) override {
-    return answer<&Algorithms<V, B>::solve, &AnswerWriter<V, B>::write>(ask, row);
+  Code solve(const Request& request, double* row) override {
+    return answer<&Algorithms<V, B>::solve, &AnswerWriter<V, B>::write>(request, row);
   }
-  Code start(const Request& ask, double* row) override {
-    return answer<&Algorithms<V, B>::start, &AnswerWriter<V, B>::write_start>(ask, row);
+  Code start(const Request& request, double* row) override {
+    return answer<&Algorithms<V, B>::start, &AnswerWriter<V, B>::write_start>(request, row);
   }
 
   void solve_many(std::ptrdiff_t count, const double* wrenches, double* rows) override {
@@ -44,16 +44,16 @@ template <class V, int B> class LaneEngine final : public Engine {
     else
       conic_many(on_.conic(), many);
     for (std::ptrdiff_t k = 0; k < count; ++k) {
-      const Record made = many.record(k, home().count);
-      if (made.code() != CONVERGED) {
+      const Record record = many.record(k, home().count);
+      if (record.code() != CONVERGED) {
         solve_one(k);
         continue;
       }
-      const Request ask{.wrench = many.wrench(k)};
-      CallState call = begin(ask);
+      const Request request{.wrench = many.wrench(k)};
+      CallState call = begin(request);
       call.used.start = start;
-      std::copy_n(&made.summary().code, record_size(home().count), on_.answer.row.data());
-      AnswerWriter(on_, call).write(CONVERGED, open_row(on_, ask, rows + size() * k));
+      std::copy_n(&record.summary().code, record_size(home().count), on_.answer.row.data());
+      AnswerWriter(on_, call).write(CONVERGED, open_row(on_, request, rows + size() * k));
     }
   }
 
@@ -91,25 +91,24 @@ template <class V, int B> class LaneEngine final : public Engine {
   Solvers<V, B> on_;
 
   StopRule stop() const { return {on_.options.gap(), on_.options.limit}; }
-  CallState begin(const Request& ask) const { return {.ask = ask, .stop = stop()}; }
-  // Place the call, run an algorithm and write its outcome into a row.
-  template <auto run, auto write> Code answer(const Request& ask, double* row) {
-    CallState call = begin(ask);
-    const Record out = open_row(on_, ask, row);
+  CallState begin(const Request& request) const { return {.request = request, .stop = stop()}; }
+  template <auto run, auto write> Code answer(const Request& request, double* row) {
+    CallState call = begin(request);
+    const Record out = open_row(on_, request, row);
     Code code = place(call);
     if (code == CONVERGED) code = (Algorithms<V, B>(on_, call).*run)();
     return (AnswerWriter<V, B>(on_, call).*write)(code, out);
   }
   // Take over the contacts, limits and wrench of a call. Return CONVERGED if it can be solved.
   Code place(CallState& call) {
-    const Code code = on_.place(call.ask.now);
+    const Code code = on_.place(call.request.now);
     if (code != CONVERGED) return code;
-    if (!is_valid_wrench(call.ask.wrench)) return REFUSED;
-    call.w = on_.newton.cones.unit.of(call.ask.wrench);
+    if (!is_valid_wrench(call.request.wrench)) return REFUSED;
+    call.w = on_.newton.cones.unit.of(call.request.wrench);
     return CONVERGED;
   }
-  // The start of many problems that can be solved side by side, in the lanes of registers;
-  // Start::standard if they cannot.
+  // The start of problems solved side by side, in the lanes of registers; Start::standard if they
+  // cannot be.
   Start common_start(std::ptrdiff_t count) {
     const bool usable =
         on_.place({}) == CONVERGED && count >= FEW_PROBLEMS && on_.options.start == Start::standard;

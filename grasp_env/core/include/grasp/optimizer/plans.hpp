@@ -4,7 +4,7 @@
 
 namespace grasp::detail {
 
-// Classes of problems with an algorithm of their own.
+// Classes of problems that differ in their algorithm.
 enum class ProblemKind {
   hard,     // hard, elliptic and frictionless contacts
   limited,  // the same, with limits on one contact each: normal forces, joints of one finger
@@ -15,9 +15,8 @@ enum class ProblemKind {
 };
 enum class Algorithm { newton, limited, soft, flow, conic, general };
 
-// The algorithm for each method and kind of problem. If Newton, its variants or `conic` give up,
-// the general program takes over. If that gives up, it proves
-// that there is no force or leaves the call UNDECIDED (`general/deepest.hpp`). A flow has no
+// If Newton, its variants or `conic` give up, the general program takes over. If that gives up, it
+// proves that there is no force or leaves the call UNDECIDED (`general/deepest.hpp`). A flow has no
 // fallback.
 struct Plan {
   Method method;

@@ -11,20 +11,20 @@
 
 namespace grasp::detail {
 
-// The contacts on which the solvers stand.
+// The contacts that the solvers are placed on.
 struct Placement {
   std::uint64_t number = 0;  // counts placements
-  bool home = false;         // true: the problem's own contacts and limits
+  bool home = false;         // true: the contacts and limits of the problem
   Code code = REFUSED;       // CONVERGED if the solvers can be used
   ProblemKind kind = ProblemKind::hard;
 };
 
-// A value that is made when a placement first asks for it.
+// A value computed once for each placement, when first needed.
 template <class T> class PerPlacement {
  public:
-  template <class F> T& at(const Placement& placement, F&& make) {
+  template <class F> T& at(const Placement& placement, F&& compute) {
     if (number_ != placement.number) {
-      value_ = make();
+      value_ = compute();
       number_ = placement.number;
     }
     return value_;
@@ -62,7 +62,7 @@ template <class V, int B> class Solvers {
   // Work space of a call.
   Field begun, work, predicted;  // start of a descent; another start; prediction of a model
   // A force of the caller, or the previous one, on the touching contacts. The searches for an
-  // internal force write here, too: make `general()` before a force is loaded.
+  // internal force write here, too: call `general()` before a force is loaded.
   Given given;
   // of the current contacts; an answer to which another may be preferred
   StoredAnswer answer, kept;
@@ -110,7 +110,7 @@ template <class V, int B> class Solvers {
     placement.home = changed.empty();
     return placement.code = load(changed);
   }
-  // Load the problem's own contacts and limits, with space for all of them.
+  // Load the contacts and limits of the problem, with space for all of them.
   void place_home() {
     placement.home = false;
     if (limited)
@@ -119,7 +119,7 @@ template <class V, int B> class Solvers {
     place({});
     home_tangents.load(current.home.frames.data(), count());
   }
-  // Replace the problem's own contacts and limits. Return false, with nothing changed, if the
+  // Replace the contacts and limits of the problem. Return false, with nothing changed, if the
   // numbers are refused.
   bool replace_home(const Changes& now) {
     if (place(now) == REFUSED) {
@@ -146,7 +146,6 @@ template <class V, int B> class Solvers {
     });
     return conic_;
   }
-  // Load the current contacts into the solver of soft contacts.
   void place_soft() {
     soft->newton.cones = newton.cones;
     soft->newton.rows.pack(newton.cones, current.now, current.divisor.data());
@@ -236,7 +235,7 @@ template <class V, int B> class Solvers {
     const auto clear = [](Field& x) {
       for (auto& v : x) v = {all<V>(1.0), V{}, V{}};
     };
-    for (Field* each : {&newton.x, &begun, &work, &predicted, &conic_.rest}) clear(*each);
+    for (Field* field : {&newton.x, &begun, &work, &predicted, &conic_.rest}) clear(*field);
     if (limited) clear(limited->newton.x);
     if (soft) clear(soft->newton.x);
   }
@@ -247,7 +246,6 @@ template <class V, int B> class Solvers {
            start == Start::linear_combination_printed || start == Start::single_value ||
            start == Start::lagrange;
   }
-  // Find an internal force strictly inside the cones and store it in newton.x.
   bool find_any_internal_force() {
     if (newton.internal_force()) return true;
     const double nothing[6] = {};

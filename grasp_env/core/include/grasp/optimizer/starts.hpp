@@ -4,7 +4,7 @@
 
 namespace grasp::detail {
 
-// Finds the start of one call and writes it into `newton.x`; `used` of the call says which it is.
+// Writes the start of one call into `newton.x` and its kind into `used`.
 template <class V, int B> class Starts {
  public:
   using Field = typename Cones<V, B>::Field;
@@ -12,24 +12,27 @@ template <class V, int B> class Starts {
   Starts(Solvers<V, B>& on, CallState& call)
       : on_(on),
         call_(call),
-        given_(on, call.ask),
+        given_(on, call.request),
         newton_(on.newton),
         cones_(on.newton.cones),
         starter_(on.newton.starter),
         x_(on.newton.x) {}
 
-  // The start that the call or the options ask for, and the method's own.
+  // The start of the call or of the options; the default start of the method.
   Start requested() const {
-    const Start start = call_.ask.start == Start::standard ? on_.options.start : call_.ask.start;
-    return start == Start::standard ? own() : start;
+    const Start start =
+        call_.request.start == Start::standard ? on_.options.start : call_.request.start;
+    return start == Start::standard ? default_start() : start;
   }
-  Start own() const { return on_.has_flow() ? Start::linear_combination : Start::internal_force; }
-  // True if the start of the call is the method's own, or found for this call alone.
-  bool has_own() const {
+  Start default_start() const {
+    return on_.has_flow() ? Start::linear_combination : Start::internal_force;
+  }
+  // True if the start of the call depends on nothing but contacts and wrench.
+  bool is_default() const {
     if (on_.options.method == Method::conic) return true;
     const Start start = requested();
-    return call_.ask.adjustment.empty() &&
-           (start == own() || start == Start::phase_one || start == Start::central);
+    return call_.request.adjustment.empty() &&
+           (start == default_start() || start == Start::phase_one || start == Start::central);
   }
 
   // Find the requested start. Otherwise return the reason why there is none: INFEASIBLE with
@@ -38,12 +41,13 @@ template <class V, int B> class Starts {
     const Code code = find_requested();
     if (code != CONVERGED) return code;
     cones_.reset_unused_lanes(x_);
-    return call_.ask.adjustment.empty() || adjust(call_.ask.adjustment) ? CONVERGED : REFUSED;
+    return call_.request.adjustment.empty() || adjust(call_.request.adjustment) ? CONVERGED
+                                                                                : REFUSED;
   }
-  // Find the method's own start in place of one that does not serve.
+  // Find the default start in place of one that failed.
   Code find_replacement() {
     call_.used.replaced = true;
-    return find_own();
+    return find_default();
   }
   // Turn the previous solution into the current frames and balance it by the smallest change in the
   // metric of the Hessian.
@@ -64,12 +68,12 @@ template <class V, int B> class Starts {
   Code find_interior() {
     call_.used.start = Start::phase_one;
     int steps = 0;
-    const auto found = on_.conic().find_inside(call_.w, x_, call_.twist, steps);
+    const auto outcome = on_.conic().find_inside(call_.w, x_, call_.twist, steps);
     using Inside = typename ConicSolver<V, B>::Inside;
-    if (found == Inside::none) call_.twist = cones_.unit.pull_back(call_.twist);
-    if (found == Inside::found && !(cones_.phi(x_) < infinity))
+    if (outcome == Inside::none) call_.twist = cones_.unit.pull_back(call_.twist);
+    if (outcome == Inside::found && !(cones_.phi(x_) < infinity))
       return UNDECIDED;  // numbers out of range
-    return found == Inside::found ? CONVERGED : found == Inside::none ? INFEASIBLE : UNDECIDED;
+    return outcome == Inside::found ? CONVERGED : outcome == Inside::none ? INFEASIBLE : UNDECIDED;
   }
 
  private:
@@ -84,19 +88,19 @@ template <class V, int B> class Starts {
   Field& x_;
 
   Code find_requested() {
-    const Request& ask = call_.ask;
+    const Request& request = call_.request;
     const Start start = requested();
     call_.used = {.start = start};
     switch (start) {
       case Start::given:
         return given_.load_force() && newton_.is_start(call_.w) ? CONVERGED : REFUSED;
       case Start::previous:
-        if (!ask.previous && ask.force.empty()) return find_own();
+        if (!request.previous && request.force.empty()) return find_default();
         if (carry_previous()) return CONVERGED;
         break;
       case Start::guess:
-        if (ask.force.size() != std::size_t(3 * on_.current.home.count)) return REFUSED;
-        return find_own() == CONVERGED && guess() ? CONVERGED : UNDECIDED;
+        if (request.force.size() != std::size_t(3 * on_.current.home.count)) return REFUSED;
+        return find_default() == CONVERGED && guess() ? CONVERGED : UNDECIDED;
       case Start::learned:
         if (on_.prediction && predict()) return CONVERGED;
         break;
@@ -111,17 +115,17 @@ template <class V, int B> class Starts {
         if (combine(start)) return CONVERGED;
         break;
       default:
-        return find_own();
+        return find_default();
     }
-    const Code code = find_own();
-    const bool named = ask.start != Start::standard || on_.options.start != Start::standard;
+    const Code code = find_default();
+    const bool named = request.start != Start::standard || on_.options.start != Start::standard;
     call_.used.replaced =
         named ||
         call_.used.start != Start::phase_one;  // without force closure, phase one is the default
     return code;
   }
-  // The method's own start, or any force inside if the contacts have no force closure.
-  Code find_own() {
+  // Find the default start, or any force inside if the contacts have no force closure.
+  Code find_default() {
     if (on_.has_flow() || on_.options.start == Start::linear_combination) {
       call_.used.start = Start::linear_combination;
       if (combine(Start::linear_combination)) return CONVERGED;
@@ -139,7 +143,8 @@ template <class V, int B> class Starts {
     if (const Code code = find_interior(); code != UNDECIDED) return code;
     General* program = on_.placement.kind == ProblemKind::hard ? on_.general() : nullptr;
     if (!program) return UNDECIDED;
-    const Deepest deep = program->deepest(call_.ask.wrench, 1e-7, on_.given.force.data(), nullptr);
+    const Deepest deep =
+        program->deepest(call_.request.wrench, 1e-7, on_.given.force.data(), nullptr);
     call_.twist = deep.twist;
     if (deep.code != CONVERGED || deep.moved)
       return deep.code == INFEASIBLE ? INFEASIBLE : UNDECIDED;
@@ -166,11 +171,11 @@ template <class V, int B> class Starts {
     return true;
   }
 
-  // A start from the offline optima: the paper's, or a relative of it.
+  // Start from the offline optima, as the paper or by a variant.
   bool combine(Start start) {
     if (!starter_.has_basis || on_.current.now.count != on_.current.home.count) return false;
     const bool home = on_.placement.home;
-    const double* wrench = call_.ask.wrench;
+    const double* wrench = call_.request.wrench;
     if (start == Start::linear_combination) {
       if (!home) return starter_.moved_combination(cones_, newton_.system, wrench, call_.w, x_);
       starter_.combine(wrench, x_);
@@ -204,10 +209,10 @@ template <class V, int B> class Starts {
     Packed6 s{};
     Vec6 squeezed{};
     for (int j = 0; j < size; ++j) {
-      const Vec6 made = column(now.force_rows.data(), size, j);
+      const Vec6 wrench = column(now.force_rows.data(), size, j);
       for (int r = 0; r < 6; ++r) {
-        for (int q = 0; q <= r; ++q) s[packed(r, q)] += made[r] * made[q] / WEIGHT[j % 3];
-        if (j % 3 == 0) squeezed[r] += made[r];
+        for (int q = 0; q <= r; ++q) s[packed(r, q)] += wrench[r] * wrench[q] / WEIGHT[j % 3];
+        if (j % 3 == 0) squeezed[r] += wrench[r];
       }
     }
     Ldl6 factor;
@@ -236,11 +241,11 @@ template <class V, int B> class Starts {
   // If Phi at the balanced x exceeds Phi at the default start in `work`, take the point of least
   // Phi between them. For a guess, always do so.
   void bring_inside(Start start) {
-    const double own = cones_.phi(on_.work);
+    const double default_phi = cones_.phi(on_.work);
     double share = 1.0;
-    if (start == Start::guess || !(cones_.phi(x_) <= own)) {
+    if (start == Start::guess || !(cones_.phi(x_) <= default_phi)) {
       share = starter_.segment(cones_, on_.work, x_);
-      if (!(cones_.phi(x_) <= own)) {  // rounding
+      if (!(cones_.phi(x_) <= default_phi)) {  // rounding
         x_ = on_.work;
         share = 0.0;
       }
@@ -256,14 +261,14 @@ template <class V, int B> class Starts {
     bring_inside(Start::guess);
     return cones_.phi(x_) < infinity;
   }
-  // Start from the model's prediction. Phi is never above that of the default start. If a previous
-  // solution is given, the better of the two is used.
+  // Start from the model's prediction, or from the previous solution if that is better. Phi is
+  // never above that of the default start.
   bool predict() {
     if (on_.current.now.count != on_.current.home.count) return false;
     UsedStart& used = call_.used;
     used.outside = !on_.prediction->covers(call_.w);
-    if (find_own() != CONVERGED) return false;
-    const Start own = used.start;
+    if (find_default() != CONVERGED) return false;
+    const Start fallback = used.start;
     on_.work = x_;
     if (on_.placement.home) {
       least_norm(x_);
@@ -275,7 +280,7 @@ template <class V, int B> class Starts {
       cones_.balance(x_, call_.w);
     }
     bring_inside(Start::learned);
-    if (call_.ask.previous && on_.options.remembers) {
+    if (call_.request.previous && on_.options.remembers) {
       on_.predicted = x_;
       if (carry_previous() && cones_.phi(x_) < cones_.phi(on_.predicted)) {
         used.start = Start::previous;
@@ -284,7 +289,7 @@ template <class V, int B> class Starts {
         x_ = on_.predicted;
       }
     }
-    if (used.replaced) used.start = own;
+    if (used.replaced) used.start = fallback;
     return true;
   }
 };

@@ -16,7 +16,7 @@ template <class V> struct Block {
   V gjg[21];                 // G J G^T, J = diag(1, -1, -1)
   Vec3<V> scale, divisor;
   Weights<V> weights;
-  V cost, mask;  // price of u in the weighted sum of normal forces, omega / mu; 1 for a contact, 0
+  V cost, mask;  // weight of u in the sum of normal forces, omega / mu; 1 for a contact, 0
                  // for an unused lane
 
   Vec3<V> transposed(const Six<S>& n) const { return combined(g, n); }   // G^T n
@@ -129,18 +129,18 @@ template <class V, int B> class Cones {
 
   // (3N,) numbers into the lanes, and back; for a register of problems, those of one lane
   void load(const double* from, Field& x, int lane = 0) const {
-    each(lane, [&](int b, int n, int at) {
+    for_each(lane, [&](int b, int n, int at) {
       for (int a = 0; a < 3; ++a) set(x[b][a], n, from[at + a]);
     });
   }
   void store(const Field& x, double* to, int lane = 0) const {
-    each(lane, [&](int b, int n, int at) {
+    for_each(lane, [&](int b, int n, int at) {
       for (int a = 0; a < 3; ++a) to[at + a] = get(x[b][a], n);
     });
   }
   // the same for forces (normal, o, t) [N]
   void load_force(const double* from, Field& x, int lane = 0) const {
-    each(lane, [&](int b, int n, int at) {
+    for_each(lane, [&](int b, int n, int at) {
       for (int a = 0; a < 3; ++a) set(x[b][a], n, from[at + a] * get(blocks[b].scale[a], n));
     });
   }
@@ -165,7 +165,7 @@ template <class V, int B> class Cones {
   S phi_along(const Field& x, const Field& step, const S& alpha, const R& rows = {}) const {
     return phi_of(rows, alpha, [&](int b) { return x[b] + all<V>(alpha) * step[b]; });
   }
-  // the same with `part` of the price of squeezing
+  // the same with `part` of the squeezing cost
   double phi_along(const Field& x, const Field& step, double alpha, double part) const {
     return phi_of(
         NoRows{}, alpha, [&](int b) { return x[b] + all<V>(alpha) * step[b]; }, all<V>(part));
@@ -262,7 +262,7 @@ template <class V, int B> class Cones {
   int needed() const { return (count + W - 1) / W; }
 
   // f(block, lane, first number) for every contact
-  template <class F> void each(int lane, F&& f) const {
+  template <class F> void for_each(int lane, F&& f) const {
     for (int b = 0; b < int(blocks.size()); ++b)
       for (int n = 0; n < W && W * b + n < count; ++n) f(b, many<V> ? lane : n, 3 * (W * b + n));
   }
@@ -290,9 +290,9 @@ template <class V, int B> class Cones {
       Vec3<V> y = blocks[b].transposed(nu);
       [[maybe_unused]] V more;
       if constexpr (R::has_terms) more = rows.dual(b, nu, y);
-      V part = least_of(y, b, room);
-      if constexpr (R::has_terms) part += more;
-      total += blocks[b].mask * part;
+      V term = least_of(y, b, room);
+      if constexpr (R::has_terms) term += more;
+      total += blocks[b].mask * term;
       smallest = min(smallest, room);
     }
     const S value = sum(total) - dot(nu, w);

@@ -22,17 +22,17 @@ template <class S> struct Rules {
     const S above = value - bound;
     return (bound > 0.0) & (above <= tolerance * bound) & (above >= BELOW * bound);
   }
-  // True if alpha of a step decreases Phi enough from `value` to `found`. is_within_rounding: the
+  // True if alpha of a step decreases Phi enough from `value` to `after`. is_within_rounding: the
   // expected decrease is within rounding.
-  static auto decreases(const S& found, const S& value, const S& alpha, const S& decrement) {
-    return found < value - 1e-4 * alpha * decrement;
+  static auto decreases(const S& after, const S& value, const S& alpha, const S& decrement) {
+    return after < value - 1e-4 * alpha * decrement;
   }
   static auto is_within_rounding(const S& value, const S& decrement) {
     return decrement < 1e-9 * value;
   }
   // A recomputed value of Phi: `value` itself if the two differ by rounding only.
-  static S unless_rounding(const S& found, const S& value) {
-    return select(abs(found - value) <= ROUNDED * value, value, found);
+  static S unless_rounding(const S& again, const S& value) {
+    return select(abs(again - value) <= ROUNDED * value, value, again);
   }
   // True if the decrement promises the tolerance: Phi - min Phi is half of it to third order. A
   // bound costs a quarter of an iteration, so it is computed only then.

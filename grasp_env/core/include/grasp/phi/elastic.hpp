@@ -33,13 +33,13 @@ class ElasticBalance {
       const double decrement = find_step(w);
       double alpha = std::min(1.0, LONG / reach());
       if (!(decrement > PRECISION * value)) break;
-      double found = merit(w, alpha);
-      for (int halving = 0; halving < HALVINGS && !(found <= value - 1e-4 * alpha * decrement);
+      double after = merit(w, alpha);
+      for (int halving = 0; halving < HALVINGS && !(after <= value - 1e-4 * alpha * decrement);
            ++halving)
-        found = merit(w, alpha *= 0.5);
-      if (!(found < value)) break;
+        after = merit(w, alpha *= 0.5);
+      if (!(after < value)) break;
       for (int k = 0; k < count_; ++k) x_[k] += alpha * step_[k];
-      value = found;
+      value = after;
     }
     for (int k = 0; k < count_; ++k)
       for (int a = 0; a < 3; ++a)
@@ -79,7 +79,7 @@ class ElasticBalance {
     const double t = scale[2] * f[2];
     x_[k] = {std::max({scale[0] * f[0], 1.05 * std::sqrt(o * o + t * t), LEAST * scale[0]}), o, t};
   }
-  Vec6 made(int k, const Point& x) const {
+  Vec6 wrench_of(int k, const Point& x) const {
     return x.u * columns_[k][0] + x.o * columns_[k][1] + x.t * columns_[k][2];
   }
 
@@ -90,7 +90,7 @@ class ElasticBalance {
       const Point x = x_[k] + alpha * step_[k];
       if (alpha > 0.0 && !(x.u > 0.0 && lorentz(x, x) > 0.0)) return infinity;
       total += phi(x, weights_[k]);
-      missed = missed + made(k, x);
+      missed = missed + wrench_of(k, x);
     }
     return total + dot(missed, missed) / (2.0 * SOFTNESS);
   }
@@ -108,12 +108,12 @@ class ElasticBalance {
     for (int k = 0; k < count_; ++k) {
       inverse_[k] = inverse_hessian(x_[k], weights_[k]);
       gradient_[k] = gradient(x_[k], weights_[k]);
-      missed = missed + made(k, x_[k]);
-      pull = pull + made(k, inverse_[k] * gradient_[k]);
+      missed = missed + wrench_of(k, x_[k]);
+      pull = pull + wrench_of(k, inverse_[k] * gradient_[k]);
       for (int r = 0; r < 6; ++r) {
         const Point h =
             inverse_[k] * Point{columns_[k][0][r], columns_[k][1][r], columns_[k][2][r]};
-        const Vec6 row = made(k, h);
+        const Vec6 row = wrench_of(k, h);
         for (int q = 0; q <= r; ++q) schur[packed(r, q)] += row[q];
       }
     }

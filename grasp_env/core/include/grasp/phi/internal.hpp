@@ -51,7 +51,7 @@ inline Interval inside(const Vec3<double>& point, const Vec3<double>& ray) {
 template <class V, int B> inline Interval inside(const Cones<V, B>& cones,
                                                  const typename Cones<V, B>::Field& point,
                                                  const typename Cones<V, B>::Field& ray) {
-  Interval found{0.0, infinity};
+  Interval common{0.0, infinity};
   for (int i = 0; i < cones.count; ++i) {
     Vec3<double> p, r;
     for (int a = 0; a < 3; ++a) {
@@ -59,9 +59,9 @@ template <class V, int B> inline Interval inside(const Cones<V, B>& cones,
       r[a] = get(ray[i / width<V>][a], i % width<V>);
     }
     const Interval one = inside(p, r);
-    found = {std::max(found.low, one.low), std::min(found.high, one.high)};
+    common = {std::max(common.low, one.low), std::min(common.high, one.high)};
   }
-  return found;
+  return common;
 }
 
 // k > 0 that minimises Phi(k x) = k a + b / k, for x strictly inside.
@@ -88,8 +88,8 @@ template <class V, int B> void begin(const Cones<V, B>& cones,
     x[b] = -cones.blocks[b].least(w);
     needed = max(needed, crossing(x[b], rest[b]));
   }
-  const V part = all<V>(max(S(1.0), 1.1 * largest(needed) + 0.5));
-  for (int b = 0; b < int(x.size()); ++b) x[b] += part * rest[b];
+  const V multiple = all<V>(max(S(1.0), 1.1 * largest(needed) + 0.5));
+  for (int b = 0; b < int(x.size()); ++b) x[b] += multiple * rest[b];
 }
 
 // Copy `from` to `to`: everything, or the lanes of some problems.
@@ -115,7 +115,7 @@ auto balance_inside(const Cones<V, B>& cones, Field& x, const Field& step, Field
   for (int b = 0; b < int(x.size()); ++b)
     x[b] = {sqrt(cones.blocks[b].weights.lambda / cones.blocks[b].weights.omega), V{}, V{}};
   auto open = S(0.0) == S(0.0);
-  auto found = S(0.0) != S(0.0);
+  auto done = S(0.0) != S(0.0);
   for (int iteration = 0; iteration < most; ++iteration) {
     const S force = cones.largest_normal(x);
     Six<S> missed{};
@@ -124,7 +124,7 @@ auto balance_inside(const Cones<V, B>& cones, Field& x, const Field& step, Field
     if (any(there)) {
       there = there & (cones.largest_normal(step) < 1e-2 * force);
       copy_where(there, x, rest);
-      found = found | there;
+      done = done | there;
       open = open & !there;
     }
     if (!any(open)) break;
@@ -133,7 +133,7 @@ auto balance_inside(const Cones<V, B>& cones, Field& x, const Field& step, Field
     for (int b = 0; b < int(x.size()); ++b) x[b] += all<V>(alpha) * step[b];
   }
   cones.balance(rest, Six<S>{});
-  return found & (cones.phi(rest) < infinity);
+  return done & (cones.phi(rest) < infinity);
 }
 
 }  // namespace grasp

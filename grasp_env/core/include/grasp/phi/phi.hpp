@@ -5,7 +5,7 @@
 
 namespace grasp {
 
-// omega and lambda: the price of squeezing, and of approaching a cone [N^2].
+// omega and lambda: weights of squeezing, and of approaching a cone [N^2].
 template <class T> struct Weights {
   T omega, lambda;
 };
@@ -69,14 +69,14 @@ template <class T> inline Sym3<T> inverse_hessian(const Vec3<T>& x, const Weight
 }
 
 // The same inverse as a sum of three terms a a^T, with the gradient along each a, separately for
-// the price of squeezing and for the barrier (zero along `across`). Written in p = u - s and q = u
+// squeezing and for the barrier (zero along `across`). Written in p = u - s and q = u
 // + s, so neither loses digits to the other. One axis lies along q, close to the force, one along
 // p, towards the surface, one across both.
 template <class T> struct Axes {
   Vec3<T> along, inward, across;
   struct Pull {
     T along, inward;
-  } price, barrier;
+  } squeeze, barrier;
 
   Axes() = default;
   Axes(const Vec3<T>& x, const Weights<T>& w) {
@@ -98,7 +98,7 @@ template <class T> struct Axes {
     const T both = 0.5 / (x.u * x.u);
     const T near = both + 1.0 / (p * p);
     const T far = both + 1.0 / (q * q);
-    price = {1.5 * w.omega * one * (1.0 - tilt), 1.5 * w.omega * two};
+    squeeze = {1.5 * w.omega * one * (1.0 - tilt), 1.5 * w.omega * two};
     barrier = {-w.lambda * one * (far - tilt * near), -w.lambda * two * near};
   }
   const Vec3<T>& operator[](int k) const { return k == 0 ? along : k == 1 ? inward : across; }
@@ -128,8 +128,8 @@ template <class T> struct Boundary {
   }
   // <= 0: the whole ray is inside
   T per(const Vec3<T>& move) const {
-    const Way found = way(move);
-    return found.away - found.along;
+    const Way ray = way(move);
+    return ray.away - ray.along;
   }
 };
 
@@ -173,9 +173,8 @@ template <class T> inline T dual(const Vec3<T>& y, const Weights<T>& w, T& room)
 }
 
 // The same minimum, starting from the r of a nearby force x, without contraction. If the second
-// Newton step is not a small fraction
-// (`tight`) of r, no bound is claimed (room < 0). The possible error, of fourth order, is
-// subtracted, since a value above the minimum is not a bound.
+// Newton step is not a small fraction (`tight`) of r, no bound is claimed (room < 0). The possible
+// error, of fourth order, is subtracted, since a value above the minimum is not a bound.
 template <class T>
 inline T dual_near(const Vec3<T>& y, const Weights<T>& w, const Vec3<T>& x, double tight, T& room) {
   const ContactLagrangian<T> inner(y, w);

@@ -10,7 +10,7 @@ namespace grasp {
 // Small eigenvalues of H^-1 keep their digits beside large ones, and S, whose condition number is
 // the square of that of G M, is never formed.
 //
-// The price of squeezing is linear, so H is the barrier's alone. With a barrier t times as strong
+// The squeezing cost is linear, so H is the barrier's alone. With a barrier t times as strong
 // the step is centring + part * descent, part = 1 / t, from the same factorisation.
 template <class V, int B> class QrSystem {
  public:
@@ -31,11 +31,11 @@ template <class V, int B> class QrSystem {
     for (int b = 0; b < int(cones.blocks.size()); ++b) {
       const auto& c = cones.blocks[b];
       const Axes<V>& a = axes_[b] = Axes<V>(x[b], c.weights);
-      const V price[3] = {c.mask * a.price.along, c.mask * a.price.inward, V{}};
+      const V squeeze[3] = {c.mask * a.squeeze.along, c.mask * a.squeeze.inward, V{}};
       const V barrier[3] = {c.mask * a.barrier.along, c.mask * a.barrier.inward, V{}};
       for (int k = 0; k < 3; ++k) {
         for (int r = 0; r < 6; ++r) qr_.set(b, k, r, dot(c.g[r], a[k]));
-        qr_.put(descent_, b, k, -price[k]);
+        qr_.put(descent_, b, k, -squeeze[k]);
         qr_.put(centring_, b, k, -barrier[k]);
       }
     }
@@ -56,10 +56,10 @@ template <class V, int B> class QrSystem {
     return true;
   }
 
-  // Squared decrement, and multipliers of Phi, of the step for a part of the price.
+  // Squared decrement, and multipliers of Phi, of the step for a part of the squeezing cost.
   double decrement(double part) const { return (part * square_ + 2.0 * slope_) * part + rest_; }
   Vec6 multipliers(double part) const { return nu_descent_ + (1.0 / part) * nu_centring_; }
-  // The part of the price at which the step is shortest; may be negative.
+  // The part of the squeezing cost at which the step is shortest; may be negative.
   double nearest_part() const { return -slope_ / square_; }
 
   // step += the smallest change in the metric of Phi that removes `missed` from G step.

@@ -16,8 +16,8 @@ enum class From {
 };
 
 // sum E_k f_k + max(0, 1 - sum E_k) f_rest, E_k = max(0, +-w_k) (Eqs. 33, 34): indices and weights
-// of the 13 offline optima
-// (+e_1..+e_6, -e_1..-e_6, rest). printed: without f_rest, which avoids P = 0 at small wrenches.
+// of the 13 offline optima (+e_1..+e_6, -e_1..-e_6, rest). printed: without f_rest, which avoids P
+// = 0 at small wrenches.
 struct Combination {
   int rows[7];
   double weights[7];
@@ -76,16 +76,16 @@ template <class V, int B> class Starter {
   }
 
   void combine(const double* wrench, Field& out, bool printed = false) const {
-    const Combination made(wrench, printed);
+    const Combination terms(wrench, printed);
     for (int b = 0; b < int(out.size()); ++b) {
-      Vec3<V> x = all<V>(made.weights[6]) * basis[12][b];
-      for (int k = 0; k < 6; ++k) x += all<V>(made.weights[k]) * basis[made.rows[k]][b];
+      Vec3<V> x = all<V>(terms.weights[6]) * basis[12][b];
+      for (int k = 0; k < 6; ++k) x += all<V>(terms.weights[k]) * basis[terms.rows[k]][b];
       out[b] = x;
     }
   }
 
-  // The combination on contacts that have moved since the basis was made; w is the wrench in their
-  // unit frame. Return false if it lies outside the cones or its Phi is too large.
+  // The combination on contacts that have moved since the basis was computed; w is the wrench in
+  // their unit frame. Return false if it lies outside the cones or its Phi is too large.
   bool moved_combination(const Cones<V, B>& cones, System<V, B>& system, const double* wrench,
                          const Vec6& w, Field& out) {
     combine(wrench, there_);
@@ -141,13 +141,12 @@ template <class V, int B> class Starter {
   // error of balance.
   bool tangent(const Cones<V, B>& cones, System<V, B>& system, const Vec6& w, Field& x) {
     if (!system.assemble(cones, x)) return false;
-    cones.subtract(x, system.restore(cones, system.made + w, x) + w);
+    cones.subtract(x, system.restore(cones, system.applied + w, x) + w);
     return true;
   }
 
   // out = x with its tangential parts turned from the tangents `from` to the current ones. The
-  // component that the frames' tilt takes off a tangential force is dropped, so out is inside the
-  // cones if x is (round cones).
+  // component lost to the frames' tilt is dropped, so out is inside the round cones if x is.
   void turn(const Cones<V, B>& cones, const Field& x, const Tangents<V, B>& from,
             Field& out) const {
     for (int b = 0; b < int(out.size()); ++b) {

@@ -12,7 +12,7 @@ template <class V, int B> class System {
   Field gradient;
   Blocks<Sym3<V>, B> inverse;  // H^-1
   Ldl<S> schur;                // S = G H^-1 G^T, factored
-  Six<S> pull{}, made{};       // G H^-1 grad and G x
+  Six<S> pull{}, applied{};    // G H^-1 grad and G x
 
   explicit System(const Cones<V, B>& cones) : gradient(cones.field()) {
     resize(inverse, cones.blocks.size());
@@ -49,7 +49,7 @@ template <class V, int B> class System {
 #pragma GCC unroll 32
     for (int k = 0; k < 21; ++k) lower[k] = sum(s[k]);
     pull = sums(q);
-    made = sums(l);
+    applied = sums(l);
     return schur.factor(lower) > 0.0;
   }
 
@@ -80,7 +80,7 @@ template <class V, int B> class System {
   // there is no step.
   auto internal_step(const Cones<V, B>& cones, const Field& x, Six<S>& missed, Field& step) {
     const auto good = assemble(cones, x);
-    missed = made;
+    missed = applied;
     direction(cones, multipliers(missed), step);
     return good;
   }
@@ -124,7 +124,7 @@ template <class V, int B> class System {
     NoRows none;
     return restore(cones, missed, x, none);
   }
-  // The same for a step and the torsion's part of it.
+  // The same for a step, with that of the torsion.
   template <class R> [[gnu::always_inline]] Six<S> restore(const Cones<V, B>& cones,
                                                            const Six<S>& missed, Field& x,
                                                            R& rows) const {

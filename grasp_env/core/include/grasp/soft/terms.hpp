@@ -38,8 +38,8 @@ template <class V, int B> class SoftTerms {
       const int n = i % W;
       const double axis[6] = {
           0.0, 0.0, 0.0, c.frames[9 * i], c.frames[9 * i + 3], c.frames[9 * i + 6]};
-      const Vec6 made = c.unit.of(axis);
-      for (int r = 0; r < 6; ++r) set(contact.g[r], n, made[r] / divisor[i]);
+      const Vec6 wrench = c.unit.of(axis);
+      for (int r = 0; r < 6; ++r) set(contact.g[r], n, wrench[r] / divisor[i]);
       set(contact.lambda, n, c.lambda[i]);
       set(contact.flat, n, 0.25 / c.lambda[i]);
       set(contact.divisor, n, divisor[i]);
@@ -142,26 +142,26 @@ template <class V, int B> class SoftTerms {
     const State& n = states_[b];
     return max((n.step - step.u) * n.p, -(n.step + step.u) * n.q);
   }
-  // The price of u after the step, in Newton's model: -d (lambda/p + lambda/q) / du.
+  // The multiplier of u after the step, in Newton's model: -d (lambda/p + lambda/q) / du.
   void predict_multipliers(int b, const Vec3<V>& step) {
     State& n = states_[b];
     const V dp = (step.u - n.step) * n.p;
     const V dq = (step.u + n.step) * n.q;
-    n.price = contacts_[b].lambda *
-              (max(V{}, n.p * n.p * (1.0 - 2.0 * dp)) + max(V{}, n.q * n.q * (1.0 - 2.0 * dq)));
+    n.multiplier = contacts_[b].lambda * (max(V{}, n.p * n.p * (1.0 - 2.0 * dp)) +
+                                          max(V{}, n.q * n.q * (1.0 - 2.0 * dq)));
   }
   void move(double alpha) {
     for (auto& now : states_) now.v += all<V>(alpha) * now.step;
   }
 
   // Subtract the torsion from y = G^T nu. Return its part of the dual value, the minimum of
-  // lambda/p + lambda/q + price u - y_v v over p and q. Any price >= abs(y_v) gives a bound; the
-  // price of the optimum gives the largest.
+  // lambda/p + lambda/q + multiplier u - y_v v over p and q. Any multiplier >= abs(y_v) gives a
+  // bound, that of the optimum the largest.
   V dual(int b, const Vec6& nu, Vec3<V>& y) const {
     const V turn = along(b, nu);
-    const V price = max(states_[b].price, abs(turn));
-    y.u += price;
-    return contacts_[b].root * (sqrt(price + turn) + sqrt(price - turn));
+    const V multiplier = max(states_[b].multiplier, abs(turn));
+    y.u += multiplier;
+    return contacts_[b].root * (sqrt(multiplier + turn) + sqrt(multiplier - turn));
   }
 
   Vec6 wrench(const Cones<V, B>& cones) const {
@@ -186,7 +186,7 @@ template <class V, int B> class SoftTerms {
     // k, 1 / psi_vv, psi_v / psi_vv, psi_v, with psi the terms of torsion
     V lever, free, pull, slope;
     V p, q;  // 1 / (u - v), 1 / (u + v)
-    V price;
+    V multiplier;
     Vec3<V> columns[6];  // G of the force together with the torsion that follows it
   };
   Blocks<Contact, B> contacts_{};
