@@ -76,31 +76,31 @@ int main(int argc, char** arguments) {
   const Contacts soft = on(rubber, gamma);
   const Contacts open = Contacts::from(positions, upward, 0.4);
 
-  // velocities of the contact points by three joints of each finger; by four that all fingers share
-  // and that also turn the tips
-  std::vector<double> own(12 * 12);
+  // velocities of the contact points by three joints of each finger; by four that all fingers
+  // share and that also turn the tips
+  std::vector<double> separate(12 * 12);
   std::vector<double> shared(24 * 4);
   for (int i = 0; i < 4; ++i)
     for (int a = 0; a < 3; ++a)
       for (int j = 0; j < 3; ++j)
-        own[(3 * i + a) * 12 + 3 * i + j] = 0.02 + 0.01 * ((a + 2 * j) % 3);
+        separate[(3 * i + a) * 12 + 3 * i + j] = 0.02 + 0.01 * ((a + 2 * j) % 3);
   for (int k = 0; k < 96; ++k)
     shared[k] = k / 4 % 6 < 3 ? 0.01 * ((k * 7) % 5 - 2) : 0.5 * ((k * 3) % 4 - 1);
   const std::vector<double> most(4, 6.0);
   const std::vector<double> least(4, 0.5);
-  const std::vector<double> each(12, 0.25);
+  const std::vector<double> torques(12, 0.25);
   const std::vector<double> little(12, 0.1);
   const std::vector<double> four(4, 0.15);
   const std::vector<double> bias{0.01, -0.02, 0.0, 0.03};
   const ForceLimits limits{
-      .min_normal = least, .max_normal = most, .jacobian = own, .torque_limit = each};
-  const ForceLimits tight{.jacobian = own, .torque_limit = little};
-  std::vector<double> both = own;  // its first joint moves two fingers
+      .min_normal = least, .max_normal = most, .jacobian = separate, .torque_limit = torques};
+  const ForceLimits tight{.jacobian = separate, .torque_limit = little};
+  std::vector<double> both = separate;  // its first joint moves two fingers
   both[9 * 12] = 0.02;
   const ForceLimits pair{
-      .min_normal = least, .max_normal = most, .jacobian = both, .torque_limit = each};
+      .min_normal = least, .max_normal = most, .jacobian = both, .torque_limit = torques};
   const std::vector<double> zeros(144);  // the Jacobian comes with the calls
-  const ForceLimits unmoved{.jacobian = zeros, .torque_limit = each};
+  const ForceLimits unmoved{.jacobian = zeros, .torque_limit = torques};
   const ForceLimits common{.jacobian = shared, .torque_limit = four, .torque_bias = bias};
 
   const double exact = 1e-9;
@@ -135,9 +135,9 @@ int main(int argc, char** arguments) {
       {"learned", {contacts}, learning},
       {"open", {open}, newton, press},
   };
-  for (const Case& each_case : cases)
-    print(each_case.name, ForceOptimizer(each_case.problem, each_case.options)
-                              .solve(std::span(each_case.load, 6).first<6>()));
+  for (const Case& test : cases)
+    print(test.name,
+          ForceOptimizer(test.problem, test.options).solve(std::span(test.load, 6).first<6>()));
 
   // starts of a call
   ForceOptimizer solver({contacts}, newton);
@@ -149,7 +149,7 @@ int main(int argc, char** arguments) {
   print("again", solver.solve({.wrench = wrench, .start = Start::previous}));
   solver.forget();
   print("forgotten", solver.solve({.wrench = wrench, .start = Start::previous}));
-  {  // a row of the caller's own comes before the last solution
+  {  // a row of the caller comes before the last solution
     ForceOptimizer other({contacts}, newton);
     std::vector<double> row(other.size());
     other.solve({.wrench = wrench}, row.data());
@@ -179,7 +179,7 @@ int main(int argc, char** arguments) {
   };
   const auto lever = [&](int k) {
     std::array<double, 144> out;
-    for (int j = 0; j < 144; ++j) out[j] = own[j] * (1.0 + 0.1 * std::sin(0.01 * k + j));
+    for (int j = 0; j < 144; ++j) out[j] = separate[j] * (1.0 + 0.1 * std::sin(0.01 * k + j));
     return out;
   };
   const std::vector<double> weight(12, 0.01);
@@ -279,7 +279,7 @@ int main(int argc, char** arguments) {
     ends(solver.solve(wrench, {.positions = all.first(9)}));
     ends(solver.solve(wrench, {.normals = up.first(9)}));
     ends(solver.solve(wrench, {.friction = up.first(3)}));
-    ends(solver.solve(wrench, {.jacobian = own}));
+    ends(solver.solve(wrench, {.jacobian = separate}));
     ends(limited.solve(wrench, {.jacobian = shared}));
     ends(limited.solve(wrench, {.torque_bias = four}));
     ends(solver.solve({.wrench = wrench, .start = Start::given, .force = all.first(9)}));
@@ -322,14 +322,17 @@ int main(int argc, char** arguments) {
   refused("weights", [&] { Contacts::from(all, up, 0.4, {.force_weight = 0.0}); });
   refused("nothing", [&] { Contacts::from({}, {}, 0.4); });
   refused("not placed", [&] { ForceOptimizer({}); });
-  refused("jacobian", [&] { ForceOptimizer({contacts, {.jacobian = own, .torque_limit = four}}); });
+  refused("jacobian",
+          [&] { ForceOptimizer({contacts, {.jacobian = separate, .torque_limit = four}}); });
   refused("bias", [&] {
-    ForceOptimizer({contacts, {.jacobian = own, .torque_limit = each, .torque_bias = four}});
+    ForceOptimizer(
+        {contacts, {.jacobian = separate, .torque_limit = torques, .torque_bias = four}});
   });
-  refused("limits", [&] { ForceOptimizer({contacts, {.max_normal = each}}); });
+  refused("limits", [&] { ForceOptimizer({contacts, {.max_normal = torques}}); });
   refused("no limit", [&] { ForceOptimizer({contacts, {.max_normal = std::span(bad).first(4)}}); });
   refused("no jacobian", [&] {
-    ForceOptimizer({contacts, {.jacobian = std::vector<double>(144, none), .torque_limit = each}});
+    ForceOptimizer(
+        {contacts, {.jacobian = std::vector<double>(144, none), .torque_limit = torques}});
   });
   refused("soft flow", [&] { ForceOptimizer({soft}, flow); });
   refused("limited flow", [&] { ForceOptimizer({contacts, limits}, flow); });
@@ -361,18 +364,17 @@ int main(int argc, char** arguments) {
       const auto inward = turned(k);
       const auto now = load(k);
       const auto arms = lever(k);
-      Changes given_now{.contacts = k % 7 == 3 ? 0b0111u : k % 7 == 5 ? 0b1011u : ~0ull};
-      if (k % 3 > 0) given_now.positions = at;
-      if (k % 3 > 1 && one.load != press) given_now.normals = inward;
-      if (k % 5 == 1) given_now.friction = two;
-      if (many_rows && k % 4 == 1) given_now.jacobian = arms;
-      if (many_rows && k % 4 == 2) given_now.torque_bias = weight;
-      const Record& record = mine.solve(Request{.wrench = k % 11 == 10 ? one.load : now.data(),
-                                                .now = given_now,
-                                                .start = starts[k % 8]});
+      Changes changes{.contacts = k % 7 == 3 ? 0b0111u : k % 7 == 5 ? 0b1011u : ~0ull};
+      if (k % 3 > 0) changes.positions = at;
+      if (k % 3 > 1 && one.load != press) changes.normals = inward;
+      if (k % 5 == 1) changes.friction = two;
+      if (many_rows && k % 4 == 1) changes.jacobian = arms;
+      if (many_rows && k % 4 == 2) changes.torque_bias = weight;
+      const Record& record = mine.solve(Request{
+          .wrench = k % 11 == 10 ? one.load : now.data(), .now = changes, .start = starts[k % 8]});
       const bool ended =
           record.has_force() || record.code() == INFEASIBLE || record.code() == UNDECIDED;
-      if (k % 13 == 0) mine.start({.wrench = one.load, .now = given_now}, row.data());
+      if (k % 13 == 0) mine.start({.wrench = one.load, .now = changes}, row.data());
       if (k % 50 == 49) {
         mine.solve(wrong);
         mine.solve(wrench, {.contacts = 1});

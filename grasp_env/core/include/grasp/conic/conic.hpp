@@ -40,7 +40,7 @@ template <class V, int B> class ConicSolver : public ConicSteps<V, B> {
     Vec6 unit, minus;
     double scale;
   };
-  // Begin a record. Return false if the record is complete.
+  // Return false if the record is complete.
   bool begin_record(const double* wrench, UnitWrench& posed, const Record& record) const {
     record.clear();
     Summary& out = record.summary();
@@ -72,7 +72,7 @@ template <class V, int B> class ConicSolver : public ConicSteps<V, B> {
     return code;
   }
 
-  // Write the iterate as an answer with its certificate, since the iterations' own gap is no proof.
+  // Write the answer at the iterate with its certificate; the gap of the iterations is no proof.
   // Return the certified gap.
   double conclude(const UnitWrench& posed, int iterations, const Record& record) {
     const double certified = certify(posed, record);
@@ -82,7 +82,6 @@ template <class V, int B> class ConicSolver : public ConicSteps<V, B> {
     return certified;
   }
 
-  // Outcome of `find_inside`.
   enum class Inside { found, none, unknown };
   // Find a force x strictly inside the cones that balances a wrench (unit frame), or the twist that
   // proves that none exists. Needs no internal force: takes centred steps from the axes until the

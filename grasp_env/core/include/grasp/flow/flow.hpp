@@ -133,7 +133,6 @@ template <class V, int B> class FlowSolver {
   Projection<V, B> projection_;
   Field next_, gradient_, there_, step_, past_;
 
-  // State of a descent.
   struct FlowProgress {
     double alpha, value;                            // alpha_k; Phi at x_k
     double gained = 0.0;                            // decrease of Phi by the last step
@@ -271,8 +270,7 @@ template <class V, int B> class FlowSolver {
     return infinity;
   }
 
-  // Remove rounding from the balance and write the certificates. CONVERGED requires that the final
-  // force meets them.
+  // Remove rounding from the balance and write the certificates, which CONVERGED requires.
   Code finish(NewtonSolver<V, B>& on, const Call& call, const Vec6& w, Code code,
               const Record& record) {
     const auto& cones = on.cones;

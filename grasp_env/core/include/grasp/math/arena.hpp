@@ -30,7 +30,6 @@ class Arena {
     memory_.reset(new std::byte[bytes]);
     size_ = bytes;
   }
-  // Bytes of an array.
   template <class T> static constexpr std::size_t bytes_needed(std::size_t many) {
     return whole(many * sizeof(T));
   }

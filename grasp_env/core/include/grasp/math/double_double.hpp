@@ -1,5 +1,5 @@
-// Numbers with twice a double's digits, for the few problems that lose all of a double's: the
-// unevaluated sum of two doubles (Dekker 1971; Hida, Li, Bailey 2001). A dozen times slower.
+// Numbers with twice a double's digits, for the few problems that need them: the unevaluated sum of
+// two doubles (Dekker 1971; Hida, Li, Bailey 2001). A dozen times slower.
 #pragma once
 #include <cmath>
 

@@ -30,8 +30,7 @@ template <class V, int B, class Rows = NoRows> class NewtonSolver {
         best_(cones.field()),
         centring_(cones.field()) {}
 
-  // Solve from the start that the internal force `rest` gives. REFUSED: numbers are not finite, or
-  // no start.
+  // Solve from the internal force `rest`. REFUSED: numbers are not finite, or no start.
   Code solve_from(const Field& rest, const Call& call, const Record& record) {
     record.summary().code = REFUSED;
     if (!is_valid_wrench(call.wrench)) return REFUSED;
@@ -174,7 +173,6 @@ template <class V, int B, class Rows = NoRows> class NewtonSolver {
     for (int b = 0; b < int(x.size()); ++b) x[b] += all<V>(alpha) * step_[b];
     if constexpr (Rows::has_torsion) rows.move(alpha);
   }
-  // The wrench plus that of the torsion.
   Vec6 with_torsion(const Vec6& w) const {
     if constexpr (Rows::has_torsion)
       return w + rows.wrench(cones);

@@ -12,7 +12,6 @@ class alignas(64) Engine {
   virtual ~Engine() = default;
   virtual std::unique_ptr<Engine> clone() const = 0;
   virtual Code solve(const Request& request, double* row) = 0;
-  // Write the start alone into a record.
   virtual Code start(const Request& request, double* row) = 0;
   virtual void solve_many(std::ptrdiff_t count, const double* wrenches, double* rows) = 0;
   virtual bool update(const Changes& now) = 0;

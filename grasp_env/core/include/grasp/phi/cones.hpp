@@ -160,7 +160,6 @@ template <class V, int B> class Cones {
   template <class R = NoRows> S phi(const Field& x, const R& rows = {}) const {
     return phi_of(rows, 0.0, [&](int b) { return x[b]; });
   }
-  // Phi at x + alpha step
   template <class R = NoRows>
   S phi_along(const Field& x, const Field& step, const S& alpha, const R& rows = {}) const {
     return phi_of(rows, alpha, [&](int b) { return x[b] + all<V>(alpha) * step[b]; });
@@ -204,7 +203,7 @@ template <class V, int B> class Cones {
       room = min(room, select(blocks[b].mask > 0.5, slack(x[b]), all<V>(infinity)));
     return least(room);
   }
-  // True if all numbers are finite and within the range of forces.
+  // True if all numbers are finite and below LARGEST.
   auto is_in_range(const Field& x) const {
     V total{};
     for (int b = 0; b < int(blocks.size()); ++b) total += abs(x[b].u) + abs(x[b].o) + abs(x[b].t);
@@ -243,11 +242,9 @@ template <class V, int B> class Cones {
     if (outside > INSIDE) nu = (INSIDE / outside) * nu;
   }
 
-  // True if x, with this balance residual, counts as balanced.
   auto balanced(const Field& x, const Six<S>& w, const S& residual) const {
     return residual <= balance_tolerance(size(w), largest_normal(x));
   }
-  // Balance residual of x.
   S residual(const Field& x, const Six<S>& w) const { return size(wrench(x) + w); }
   // Write force, residual and margin of x, which certify a solution.
   void certify(const Field& x, const Vec6& w, const Record& record) const {

@@ -74,7 +74,6 @@ struct Call {
   bool exceeding = false;
 };
 
-// State of a descent.
 struct DescentProgress {
   double value, bound;
   bool known = false;  // true if the bound is an optimum that the caller knows
