@@ -309,7 +309,7 @@ class Contacts {
     }
   }
 
-  // Find the rank of placed contacts; s: Gram matrix of the rows.
+  // s: Gram matrix of the rows
   Placing find_rank(const Packed6& s) {
     clear = false;
     reach.rank = 6;
@@ -399,8 +399,7 @@ class Contacts {
   }
 
   // Orthonormalise rows (6, 3N) with Gram matrix s = lower * (orthonormal rows) by two Cholesky
-  // factorisations, exact to rounding for condition numbers up to 1e7. Return false if rank is
-  // lost.
+  // factorisations, exact to rounding for condition numbers up to 1e7. False: rank lost.
   bool orthonormalise(Packed6 s, std::vector<double>& turned, double (&lower)[6][6]) const {
     const int size = 3 * count;
     for (int pass = 0; pass < 2; ++pass) {

@@ -36,8 +36,7 @@ template <class V, int B> class FlowSolver {
     return get(step_[0].u, 0);
   }
 
-  // Descend from the start in on.x, which must be balanced and strictly inside, and write the
-  // record.
+  // Descend from the start in on.x, balanced and strictly inside, and write the record.
   Code descend(NewtonSolver<V, B>& on, const Call& call, const Vec6& w, const Record& record) {
     const auto& cones = on.cones;
     const int blocks = int(cones.blocks.size());
@@ -204,14 +203,13 @@ template <class V, int B> class FlowSolver {
       at.alpha = rule.first;
     }
     at.alpha = std::min(at.alpha, LONGEST);
-    // a step far shorter than x, left from a start near the apex, grows from here instead of
-    // stalling
+    // a step far shorter than x, left from a start near the apex, would stall
     if (at.alpha * at.alpha * at.length < SHORTEST * SHORTEST * at.size && at.length > 0.0)
       at.alpha = SHORTEST * std::sqrt(at.size / at.length);
   }
 
-  // Try alpha_k until Phi decreases as much as the rule requires. Return false if no step that
-  // moves x does so.
+  // Try alpha_k until Phi decreases as the rule requires. Return false if no step that moves x
+  // does.
   template <class Ahead, class Slope, class Bend>
   bool accept(FlowProgress& at, Ahead&& ahead, Slope&& slope, Bend&& bend) const {
     const double decrease = rule.kind == StepRule::ARMIJO ? rule.decrease * at.length : 0.0;

@@ -36,7 +36,6 @@ class Dense {
     spread(bias, outputs, bias_.data());
   }
 
-  // Append the weights and the bias to `flat`.
   void write(std::vector<float>& flat) const {
     for (int i = 0; i < inputs_; ++i) write(&weights_[std::size_t(i) * row_], flat);
     write(bias_.data(), flat);

@@ -116,7 +116,7 @@ template <class V, int B> class BasisMaker {
 };
 
 // Fill the basis of `newton`. Return the worst relative gap; inf: failed. warm: the basis holds the
-// optima of nearby contacts; otherwise newton.x must be an internal force strictly inside.
+// optima of nearby contacts; else newton.x is an internal force strictly inside.
 template <class V, int B> double make_basis(NewtonSolver<V, B>& newton, bool warm) {
   BasisMaker<V, B> maker(newton);
   return warm ? maker.warm() : maker.cold();

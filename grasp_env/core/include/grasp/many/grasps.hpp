@@ -1,6 +1,6 @@
 // Problems on many grasps. A grasp with many problems is solved alone. For all others a register
-// holds W problems, each on its own grasp, from placing the contacts to the record. Those that need
-// more than an ordinary descent are solved again alone. Lanes are independent.
+// holds W problems on W grasps, from placing the contacts to the record. Those that need more than
+// an ordinary descent are solved again alone. Lanes are independent.
 #pragma once
 #include <grasp/many/basis.hpp>
 #include <grasp/math/dispatch.hpp>
@@ -31,7 +31,6 @@ class Grasps {
          const double* first)
       : contacts(contacts), count(count), weights(weights), first(first), placed_(placed) {}
 
-  // True if the grasp has hard contacts of full rank.
   bool is_solvable(std::ptrdiff_t u) const {
     return placed_[u]->placing == Placing::good && !placed_[u]->soft();
   }
@@ -355,7 +354,6 @@ inline void newton_grasps(const Grasps& grasps, const StopRule& options, const S
   });
 }
 
-// Minimise the weighted sum of normal forces.
 inline void conic_grasps(const Grasps& grasps, const StopRule& options, const SolveBatch& many) {
   ConicGrasps<REGISTER> group(grasps.contacts, options, many);
   dispatch(grasps.contacts, [&]<class V, int B>() {

@@ -225,7 +225,6 @@ void run(SolveBatch& lanes, std::ptrdiff_t many, Begin&& begin, End&& end) {
 
 inline constexpr int FEW_PROBLEMS = REGISTER / 2;  // fewer problems are solved one by one
 
-// Input and output of many solves, one row per problem.
 struct SolveBatch {
   std::ptrdiff_t count;
   const double* wrenches;  // (M, 6) [N, N m]

@@ -84,7 +84,7 @@ class PivotedQr {
   int rows_ = 0, columns_ = 0;
   // a_: R above the diagonal, the reflections from it down
   std::vector<double> a_, beta_, diagonal_, along_;
-  std::vector<int> row_, column_;  // what each step exchanged with its own
+  std::vector<int> row_, column_;  // row and column that each step swapped with its index
 
   // a . b in four sums, which run side by side.
   static double product(int size, const double* a, const double* b) {

@@ -72,7 +72,7 @@ template <class V, int B, class Rows = NoRows> class NewtonSolver {
     return size(cones.wrench(x) + with_torsion(w)) <= MISSED * (cones.largest_normal(x) + size(w));
   }
 
-  // Take one more full step from a converged x, to the last digits, if it does not raise Phi.
+  // Take one more full step from a converged x unless it raises Phi.
   void polish(const Vec6& w) {
     if (!system.assemble(cones, x)) return;
     const Vec6 left = system.applied + w;
@@ -103,7 +103,7 @@ template <class V, int B, class Rows = NoRows> class NewtonSolver {
     return true;
   }
 
-  // Check balance, cones and gap of the force that is returned.
+  // Check balance, cones and gap of the answer.
   Code finish(Code code, const Field& safe, const Call& call, const Vec6& w,
               const DescentProgress& at, const Record& record) {
     Summary& s = record.summary();

@@ -25,8 +25,7 @@ template <class V, int B> class Algorithms {
     return code == REFUSED || (sound && code != STALLED) ? code : solve_again(code, sound);
   }
 
-  // Write the start that `solve` would use as a record. Return STARTED, or the reason why there is
-  // none.
+  // Write the start that `solve` would use as a record. Return STARTED, or why there is none.
   Code start() {
     clear_record();
     const ProblemKind kind = on_.placement.kind;
@@ -234,8 +233,6 @@ template <class V, int B> class Algorithms {
     General* program = on_.general();
     return program ? program->least_normal_from(call_.stop, record_) : code;
   }
-
-  // --- the general program
 
   Code general() { return general(call_.stop); }
   Code general(const StopRule& stop) {

@@ -10,7 +10,7 @@ template <class V, int B> class GivenForce {
  public:
   GivenForce(Solvers<V, B>& on, const Request& request) : on_(on), request_(request) {}
 
-  // Load the caller's force (N, 3), without torsion. Return false if it has another size.
+  // Load the caller's force (N, 3), without torsion. False: it has another size.
   bool load_force() {
     if (request_.force.size() != std::size_t(3 * on_.current.home.count)) return false;
     for (int i = 0; i < on_.current.now.count; ++i) {

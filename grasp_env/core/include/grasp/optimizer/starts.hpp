@@ -138,7 +138,7 @@ template <class V, int B> class Starts {
     grasp::begin(cones_, on_.internal_force(), call_.w, x_);
     return cones_.phi(x_) < infinity ? CONVERGED : UNDECIDED;
   }
-  // Like `find_interior`; if that is undecided, find the deepest force.
+  // If `find_interior` is undecided, find the deepest force.
   Code find_interior_or_deepest() {
     if (const Code code = find_interior(); code != UNDECIDED) return code;
     General* program = on_.placement.kind == ProblemKind::hard ? on_.general() : nullptr;
@@ -253,7 +253,6 @@ template <class V, int B> class Starts {
     call_.used.replaced = !(share > 0.0) && dot(call_.w, call_.w) > 0.0;
     if (!call_.used.replaced) call_.used.start = start;
   }
-  // Start from the caller's force, with the default start in x.
   bool guess() {
     on_.work = x_;
     given_.load_force();
