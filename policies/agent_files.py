@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import os
 import shutil
 from collections.abc import Callable
@@ -16,7 +15,7 @@ from safetensors.numpy import load, save
 from grasp_env.env.observation import action_size, bounds
 from grasp_env.errors import ModelFileError
 from grasp_env.inputs.files import WEIGHTS, as_path, digest, file_fault, parsed, replacing, unpacked
-from policies.checkpoint import described, signature
+from policies.checkpoint import described, signed
 
 SCHEMA = "grasp-force/rl-agent/3"
 ENV_ID = "FourFingerGrasp-v0"
@@ -61,8 +60,7 @@ def write_checkpoint(
                 hashes[name] = digest(blob)
                 (hidden / name).write_bytes(blob)
             body = {"schema": SCHEMA, "env_id": ENV_ID, **meta, "steps": steps, "files": hashes}
-            text = json.dumps({**body, "sha256": signature(body)}, indent=2, allow_nan=False)
-            (hidden / META).write_text(text + "\n", encoding="utf-8")
+            (hidden / META).write_text(signed(body), encoding="utf-8")
     except OSError as error:
         raise ModelFileError(f"cannot write {folder}: {file_fault(error, '--out')}") from None
     for older in checkpoints(parent)[:-1]:

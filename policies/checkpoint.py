@@ -52,9 +52,8 @@ class Checkpoint:
             "ranges": ranges,
             "card": self.card,
         }
-        text = json.dumps({**body, "sha256": signature(body)}, indent=2, allow_nan=False) + "\n"
         replace(_file(stem, ".safetensors"), blob)
-        replace(_file(stem, ".json"), text.encode())
+        replace(_file(stem, ".json"), signed(body).encode())
         return _file(stem, ".safetensors")
 
     @classmethod
@@ -107,6 +106,11 @@ class Checkpoint:
             raise ModelFileError(
                 f"model: tensors {', '.join(name[:40] for name in wrong[:4])} do not fit its numbers; {_AGAIN}"
             )
+
+
+def signed(body: dict[str, Any]) -> str:
+    """Return the text of a description with its hash, as `described` reads it."""
+    return json.dumps({**body, "sha256": signature(body)}, indent=2, allow_nan=False) + "\n"
 
 
 def signature(body: dict[str, Any]) -> str:
