@@ -26,9 +26,7 @@ class Clarabel(Conic):
         # either of these two would forbid the update
         settings.presolve_enable = False
         settings.chordal_decomposition_enable = False
-        # forces are dual variables in the dual form: it needs more for the same accuracy
-        tolerance = 1e-8 if form.in_cost else 1e-7
-        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
+        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = self.tolerance
         self._numbers = Numbers(form.rows, form.pattern)
         linear = ((clarabel.ZeroConeT, form.equations), (clarabel.NonnegativeConeT, form.nonneg))
         cones = [cone(size) for cone, size in linear if size]
@@ -37,9 +35,7 @@ class Clarabel(Conic):
         self._solver = clarabel.DefaultSolver(
             quadratic, form.c, self._numbers.matrix, form.sides, cones, settings
         )
-        status = clarabel.SolverStatus
-        infeasible = status.DualInfeasible if form.in_cost else status.PrimalInfeasible
-        self._statuses = {status.Solved: "solved", infeasible: "infeasible"}
+        self._statuses = self.statuses(clarabel.SolverStatus)
 
     def run(self, moved: bool) -> tuple[Array, Array, str]:
         """See `Conic`."""

@@ -10,6 +10,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -338,6 +339,16 @@ class Conic:
         if changed == "pattern":
             self.build()
         return self.form.answer(*self.run(changed == "numbers"))
+
+    @property
+    def tolerance(self) -> float:
+        """Tolerance of a primal-dual solver; dual variables need more for the same accuracy."""
+        return 1e-8 if self.form.in_cost else 1e-7
+
+    def statuses(self, status: Any) -> dict[Any, str]:
+        """Return our names of a solver's states, an enumeration."""
+        infeasible = status.DualInfeasible if self.form.in_cost else status.PrimalInfeasible
+        return {status.Solved: "solved", infeasible: "infeasible"}
 
     def build(self) -> None:
         """Set the solver up for `form`."""

@@ -38,8 +38,7 @@ class Moreau(Conic):
         cones = moreau.Cones(
             num_zero_cones=form.equations, num_nonneg_cones=form.nonneg, so_cone_dims=form.cones
         )
-        tolerance = 1e-8 if form.in_cost else 1e-7
-        limits = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), tolerance)
+        limits = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), self.tolerance)
         ipm = moreau.IPMSettings(**limits)
         settings = moreau.Settings(device="cpu", solver="ipm", batch_size=1, ipm_settings=ipm)
         stored = self._numbers.matrix
@@ -50,9 +49,7 @@ class Moreau(Conic):
         )
         self._solver.setup(np.zeros(0), stored.data)
         self._last = None
-        status = moreau.SolverStatus
-        infeasible = status.DualInfeasible if form.in_cost else status.PrimalInfeasible
-        self._statuses = {status.Solved: "solved", infeasible: "infeasible"}
+        self._statuses = self.statuses(moreau.SolverStatus)
 
     def solve(self, problem: Problem, start: Array | None = None) -> Answer:
         """See `Entrant`; any `start` stands for all variables and multipliers of the last call."""
