@@ -14,6 +14,8 @@ from grasp_env.inputs.files import replacing
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from training.evaluation.results import Run
+
 
 def write_json(answer: dict[str, Any]) -> None:
     """Print one object on a line of stdout.
@@ -41,6 +43,18 @@ def make_table(title: str, *columns: str) -> Table:
     for index, column in enumerate(columns or ("", "")):
         table.add_column(column, justify="left" if index == 0 else "right", overflow="fold")
     return table
+
+
+def write_report(run: Run, quick: bool = False) -> None:
+    """Write the page of a run and print its claims."""
+    from training.evaluation.report.page import write
+    from training.evaluation.results.claims import lines
+
+    path, claims = write(run)
+    sys.stderr.write(f"report: {path}\n")
+    if quick:
+        sys.stdout.write("QUICK RUN: few trials; do not quote.\n")
+    sys.stdout.writelines(f"{line}\n" for line in lines(claims))
 
 
 def save_picture(pixels: Any, path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
@@ -11,6 +10,7 @@ import tyro
 from grasp_env.errors import InvalidInputError
 from grasp_env.inputs.extras import need
 from training.evaluation.compare.scenarios import BOTH, ENGINES
+from training.program.commands.answers import write_report
 from training.program.commands.options import misplaced, one_of
 
 OPTIONS = {
@@ -80,8 +80,6 @@ class Evaluate:
         self._check()
         need("sim", "report")
         from grasp_env.sim.engine import class_of, engine_of
-        from training.evaluation.report.page import write
-        from training.evaluation.results.claims import lines
         from training.evaluation.results.run import Run, default_name
 
         for name in BOTH if self.what == "transfer" else ():
@@ -92,11 +90,7 @@ class Evaluate:
         folder = Run.create(self.out, self.name or default_name(kind))
         rows, about = self._measure(kind, folder)
         folder.save(rows, about)
-        path, claims = write(folder)
-        sys.stderr.write(f"report: {path}\n")
-        if self.quick:
-            sys.stdout.write("QUICK RUN: few trials; do not quote.\n")
-        sys.stdout.writelines(f"{line}\n" for line in lines(claims))
+        write_report(folder, self.quick)
 
     def _check(self) -> None:
         """Refuse options that belong to another comparison."""

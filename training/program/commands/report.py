@@ -11,6 +11,7 @@ import tyro
 
 from grasp_env.errors import InvalidInputError
 from grasp_env.inputs.extras import need
+from training.program.commands.answers import write_report
 
 
 @dataclass(frozen=True)
@@ -45,9 +46,4 @@ class Report:
             sys.stdout.write(f"{table.head(40).to_string(index=False, na_rep='')}\n")
             sys.stderr.write(f"report: {b.folder / 'compare.html'}\n")
             return
-        from training.evaluation.report.page import write
-        from training.evaluation.results.claims import lines
-
-        path, claims = write(Run.open(self.run or ""))
-        sys.stderr.write(f"report: {path}\n")
-        sys.stdout.writelines(f"{line}\n" for line in lines(claims))
+        write_report(Run.open(self.run or ""))
