@@ -7,20 +7,18 @@ import time
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import tyro
 from rich.console import Console
 
 from grasp_env.errors import InvalidInputError
+from grasp_env.inputs.arguments import Array
 from grasp_env.inputs.extras import need
 from grasp_env.inputs.files import replacing
 from training.program.commands.answers import make_table, save_picture, write_json
 from training.program.commands.options import left_out, misplaced
-
-if TYPE_CHECKING:
-    from grasp_env.inputs.arguments import Array
 
 ACTIONS = {
     "show": ("file", "scale", "draw", "size"),
