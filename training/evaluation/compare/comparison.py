@@ -24,7 +24,7 @@ from training.evaluation.compare.methods import FLOW, METHODS, optimizer
 from training.evaluation.compare.starts import ComparedStart, StartContext
 from training.evaluation.compare.trial import TOLERANCE, trials
 from training.evaluation.results.bars import progress
-from training.evaluation.results.run import SHARDS, Run, check_counts
+from training.evaluation.results.run import Run, check_counts
 from training.evaluation.results.shards import map_shards
 from training.evaluation.results.table import join, pd, table
 
@@ -97,7 +97,7 @@ def run(
     config = config.resolved()
     objective = Objective()
     shards = {name: Shard(name, config, given, objective) for name in plan(given)}
-    keep = folder and folder.folder / SHARDS
+    keep = folder and folder.shards
     rows, mapped = map_shards(
         work, shards, on=on, workers=workers, keep=keep, label="comparing starts"
     )

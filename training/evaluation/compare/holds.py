@@ -37,7 +37,7 @@ from training.evaluation.compare.scenarios import (
     mesh_settings,
     short_name,
 )
-from training.evaluation.results.run import SHARDS, Run, check_counts
+from training.evaluation.results.run import Run, check_counts
 from training.evaluation.results.shards import map_shards
 from training.evaluation.results.table import pd, table
 
@@ -132,7 +132,7 @@ def run(
         seeds = range(config.seed, config.seed + scenario.episodes)
         for k in range(0, len(seeds), _CHUNK):
             shards[f"{scenario.name}/{k:05d}"] = scenario, seeds[k : k + _CHUNK]
-    keep = folder and folder.folder / SHARDS
+    keep = folder and folder.shards
     rows, mapped = map_shards(work, shards, on=on, workers=workers, keep=keep, label="episodes")
     about = {
         "kind": config.kind,

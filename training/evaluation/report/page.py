@@ -64,7 +64,7 @@ def write(run: Run) -> tuple[Path, list[Verdict]]:
     Raises:
         InvalidInputError: its files are missing or were changed.
     """
-    with understood(run.folder, "repeat the command that made it"):
+    with understood(run.folder):
         rows, about = run.load()
         page_module = module_of(about)
         means = summary(rows)

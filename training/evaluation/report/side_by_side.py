@@ -82,8 +82,7 @@ def write(a: Run, b: Run, out: Run) -> Rows:
     Raises:
         InvalidInputError: a run is not finished, or the two have no row in common.
     """
-    again = "repeat the command that made it"
-    with understood(a.folder, again), understood(b.folder, again):
+    with understood(a.folder), understood(b.folder):
         (rows_a, about_a), (rows_b, about_b) = a.load(), b.load()
         table = compare(rows_a, rows_b)
     if table.empty:

@@ -24,8 +24,6 @@ from grasp_env.inputs.files import file_fault, read_json, replacing
 if TYPE_CHECKING:
     from training.evaluation.results.table import pd
 
-SHARDS = "shards"
-"""Folder of a run that keeps finished shards until all are."""
 MAX_COUNT = 1_000_000_000
 """Largest count in a setting."""
 _PACKAGES = [
@@ -91,6 +89,11 @@ class Run:
             )
         return cls(folder)
 
+    @property
+    def shards(self) -> Path:
+        """Folder that keeps finished shards until all are."""
+        return self.folder / "shards"
+
     def path(self, name: str) -> Path:
         """Return the path of a file of this run, and make its folder."""
         path = self.folder / name
@@ -124,7 +127,7 @@ class Run:
         table.write(self.path("rows.csv"), rows)
         facts = {"rows": len(rows), "columns": table.described(rows.columns)}
         self.write_json("run.json", {**about, **provenance(), **facts})
-        shutil.rmtree(self.folder / SHARDS, ignore_errors=True)
+        shutil.rmtree(self.shards, ignore_errors=True)
 
     def load(self) -> tuple[pd.DataFrame, dict[str, Any]]:
         """Return the rows and the content of run.json.
@@ -163,7 +166,7 @@ class Run:
 
 
 @contextmanager
-def understood(folder: Path, again: str) -> Iterator[None]:
+def understood(folder: Path, again: str = "repeat the command that made it") -> Iterator[None]:
     """Report any error in the block as files that were changed or made by another version.
 
     `again` is advice how to make such files again.
