@@ -23,7 +23,7 @@ from benchmarks.problem import problems
 from grasp_env.errors import GraspError, InvalidInputError
 from grasp_env.force import ForceOptimizer
 from grasp_env.grasp import Grasp
-from grasp_env.inputs.arguments import Array
+from grasp_env.inputs.arguments import Array, unit_vectors
 from grasp_env.quality import feasibility
 from training.evaluation.results.claims import Claim
 from training.evaluation.results.run import commit
@@ -109,8 +109,7 @@ def arrays(seed: int, count: int, wrenches: int) -> dict[str, Any]:
         amplitude = 1.0  # halved until closure is kept
         while True:
             points = grasp.positions + amplitude * SHIFT * shift * np.sin(angle + phase)
-            normals = grasp.normals + amplitude * TILT * tilt * np.cos(angle + phase)
-            normals /= np.sqrt((normals**2).sum(axis=2, keepdims=True))
+            normals = unit_vectors(grasp.normals + amplitude * TILT * tilt * np.cos(angle + phase))
             path = zip(points, normals, strict=True)
             steps = (Grasp.from_contacts(*pair, grasp.friction) for pair in path)
             if all(feasibility(step, np.zeros(6)).feasible for step in steps):

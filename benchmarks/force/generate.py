@@ -19,6 +19,7 @@ from benchmarks.force.record import coupled, grasp_of_hand, recorded, shares_joi
 from benchmarks.force.record import short as rounded
 from grasp_env.errors import GraspError
 from grasp_env.grasp import Grasp
+from grasp_env.inputs.arguments import unit_vectors
 from grasp_env.quality import feasibility
 from training.data.grasps import PRESETS, Recipe
 
@@ -75,8 +76,7 @@ def moving(problems: list[Arrays]) -> Arrays:
 
 def ball(rng: np.random.Generator, count: int, size: float = 1.0) -> Array:
     """Draw wrenches (count, 6): force and moment in balls of radii `size` times `LOAD`."""
-    vectors = rng.standard_normal((count, 2, 3))
-    vectors /= np.sqrt((vectors**2).sum(axis=2, keepdims=True))
+    vectors = unit_vectors(rng.standard_normal((count, 2, 3)))
     radii = rng.random((count, 2, 1)) ** (1.0 / 3.0)
     loads = vectors * radii * size * np.array(LOAD)[None, :, None]
     return short(loads.reshape(count, 6))

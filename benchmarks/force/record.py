@@ -15,6 +15,7 @@ import numpy as np
 
 from benchmarks.force.problems import Array
 from grasp_env.grasp import Grasp
+from grasp_env.inputs.arguments import unit_vectors
 from grasp_env.inputs.files import replacing
 
 FILE = Path(__file__).with_name("hands.json")
@@ -63,8 +64,7 @@ def recorded() -> list[tuple[str, dict[str, Any]]]:
 
 def grasp_of_hand(hand: dict[str, Any]) -> Grasp:
     """Return the contacts of a record."""
-    normals = hand["normals"] / np.linalg.norm(hand["normals"], axis=1, keepdims=True)
-    return Grasp.from_contacts(hand["positions"], normals, hand["friction"])
+    return Grasp.from_contacts(hand["positions"], unit_vectors(hand["normals"]), hand["friction"])
 
 
 def weight(hand: dict[str, Any]) -> Array:

@@ -16,6 +16,7 @@ from grasp_env.inputs.arguments import (
     instance,
     number,
     positive,
+    unit_vectors,
     whole,
 )
 
@@ -92,8 +93,7 @@ def sample_magnitudes(
     high = positive(high, "high", ranges.BALL)
     if low > high:
         raise InvalidInputError(f"low must be <= high, got {low:g} and {high:g}")
-    direction = rng.standard_normal((count, 6))
-    direction /= np.sqrt((direction**2).sum(axis=1))[:, None]
+    direction = unit_vectors(rng.standard_normal((count, 6)))
     wrench = direction * np.exp(rng.uniform(np.log(low), np.log(high), (count, 1)))
     wrench[:, 3:] *= MAGNITUDE_LENGTH
     return wrench
@@ -124,9 +124,7 @@ def sample_path(rng: np.random.Generator, count: int, step: float = 0.03) -> Arr
 
 
 def _ball(rng: np.random.Generator, count: int) -> Array:
-    direction = rng.standard_normal((count, 3))
-    direction /= np.sqrt((direction**2).sum(axis=1))[:, None]
-    return direction * rng.random((count, 1)) ** (1.0 / 3.0)
+    return unit_vectors(rng.standard_normal((count, 3))) * rng.random((count, 1)) ** (1.0 / 3.0)
 
 
 def constant(wrench: Wrench, count: int) -> Array:

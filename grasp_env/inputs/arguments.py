@@ -35,6 +35,11 @@ T = TypeVar("T")
 _FLOAT = np.dtype(np.float64)
 
 
+def unit_vectors(vectors: Array) -> Array:
+    """Return vectors (..., D) over their lengths."""
+    return vectors / np.sqrt((vectors**2).sum(axis=-1, keepdims=True))
+
+
 def as_array(
     value: ArrayLike,
     shape: Shape | None,

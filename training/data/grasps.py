@@ -9,7 +9,7 @@ import numpy as np
 from grasp_env.errors import GraspError
 from grasp_env.force import OfflineBasis
 from grasp_env.grasp import Grasp, presets
-from grasp_env.inputs.arguments import Array
+from grasp_env.inputs.arguments import Array, unit_vectors
 from grasp_env.quality import feasibility
 
 PRESETS = {3: presets.tripod, 4: presets.paper_cuboid, 5: presets.five_finger_cuboid}
@@ -71,10 +71,6 @@ class Recipe:
                 return grasp
 
 
-def _unit(vectors: Array) -> Array:
-    return vectors / np.sqrt((vectors**2).sum(axis=1, keepdims=True))
-
-
 def _cuboid(rng: np.random.Generator, count: int) -> tuple[Array, Array]:
     half = rng.uniform(*HALF, 3)
     axis = rng.integers(0, 3, count)
@@ -88,8 +84,8 @@ def _cuboid(rng: np.random.Generator, count: int) -> tuple[Array, Array]:
 
 def _ellipsoid(rng: np.random.Generator, count: int) -> tuple[Array, Array]:
     half = rng.uniform(*HALF, 3)
-    outward = _unit(rng.standard_normal((count, 3)))
-    return outward * half, -_unit(outward / half)
+    outward = unit_vectors(rng.standard_normal((count, 3)))
+    return outward * half, -unit_vectors(outward / half)
 
 
 def _cylinder(rng: np.random.Generator, count: int) -> tuple[Array, Array]:

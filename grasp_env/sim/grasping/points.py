@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from grasp_env import core
 from grasp_env.errors import InvalidInputError
 from grasp_env.grasp.presets import paper_cuboid
-from grasp_env.inputs.arguments import Array, as_array
+from grasp_env.inputs.arguments import Array, as_array, unit_vectors
 from grasp_env.sim.config import ON_SURFACE, START_CLEARANCE, SceneConfig
 from grasp_env.sim.engine import engine_of
 from grasp_env.sim.hand.description import HandDescription
@@ -314,6 +314,5 @@ def _limbs(kinematics: HandKinematics) -> core.HandLimbs:
 @lru_cache(maxsize=1)
 def _spread_directions() -> Array:
     """Return unit directions in wrench space, (D, 6): the axes and random ones."""
-    random = np.random.default_rng(6).standard_normal((_DIRECTIONS - 12, 6))
-    random /= np.linalg.norm(random, axis=1)[:, None]
+    random = unit_vectors(np.random.default_rng(6).standard_normal((_DIRECTIONS - 12, 6)))
     return np.concatenate([np.eye(6), -np.eye(6), random])

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from grasp_env import core
-from grasp_env.inputs.arguments import Array, Indices
+from grasp_env.inputs.arguments import Array, Indices, unit_vectors
 from grasp_env.sim.grasping.approach import Approach
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.kinematics import HandKinematics, motor_force_basis
@@ -207,8 +207,7 @@ class _Reach:
         centers = centers[rows]
         members = members[rows]
         chosen = chosen[rows]
-        arms = centers[:, None] - tips[chosen, np.arange(fingers)]
-        normals = arms / np.linalg.norm(arms, axis=2, keepdims=True)
+        normals = unit_vectors(centers[:, None] - tips[chosen, np.arange(fingers)])
         opposed = _shortest(normals, members)
         sites: list[Site] = []
         for row in np.flatnonzero(opposed < _OPPOSED):
@@ -327,5 +326,4 @@ def _frame(first: Array, second: Array) -> Array:
 
 
 def _directions(rng: np.random.Generator, count: int) -> Array:
-    drawn = rng.standard_normal((count, 3))
-    return drawn / np.linalg.norm(drawn, axis=1)[:, None]
+    return unit_vectors(rng.standard_normal((count, 3)))

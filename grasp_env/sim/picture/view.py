@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from grasp_env.inputs.arguments import Array
+from grasp_env.inputs.arguments import Array, unit_vectors
 from grasp_env.sim.hand.description import Vector3
 
 NEAR_PLANE, FAR_PLANE = 0.05, 5.0  # least and largest distance from the camera that is drawn [m]
@@ -41,8 +41,7 @@ class View:
         """Unit vectors to the right, upwards and towards the camera, rows (3, 3), world frame."""
         back = np.subtract(self.eye, self.target)
         right = np.cross((0.0, 1.0, 0.0), back)
-        axes = np.array([right, np.cross(back, right), back])
-        return axes / np.linalg.norm(axes, axis=1)[:, None]
+        return unit_vectors(np.array([right, np.cross(back, right), back]))
 
     @cached_property
     def slope(self) -> Array:

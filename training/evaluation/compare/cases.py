@@ -13,7 +13,7 @@ import numpy as np
 
 from grasp_env.grasp import Grasp, presets, wrench
 from grasp_env.grasp.wrench import FORCE_RADIUS, MAGNITUDE_LENGTH, MOMENT_RADIUS
-from grasp_env.inputs.arguments import Array
+from grasp_env.inputs.arguments import Array, unit_vectors
 from training.data.grasps import EVALUATION, slide_contacts
 from training.evaluation.compare.case import Case
 
@@ -151,8 +151,7 @@ def _jumps(size: float, rng: np.random.Generator, count: int) -> list[Case]:
     cases = list[Case]()
     while len(cases) < count:
         old = wrench.sample_ball(rng, 1)[0]
-        direction = rng.standard_normal((2, 3))
-        direction /= np.sqrt((direction**2).sum(axis=1))[:, None]
+        direction = unit_vectors(rng.standard_normal((2, 3)))
         now = old + size * _RADII * direction.reshape(-1)
         if np.linalg.norm(now[:3]) <= FORCE_RADIUS and np.linalg.norm(now[3:]) <= MOMENT_RADIUS:
             cases.append(Case(grasp, now, (grasp, old), len(cases)))
