@@ -22,7 +22,6 @@ import time
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from importlib import util
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Literal
@@ -35,6 +34,7 @@ from grasp_env.control.loop import critically_damped
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.errors import SimulationError
 from grasp_env.inputs.arguments import Array
+from grasp_env.inputs.files import import_file
 from grasp_env.sim import HandDescription, MujocoEngine
 from grasp_env.sim.hand.description import HANDS
 from grasp_env.task.motion import resting_target
@@ -303,13 +303,7 @@ def build(folder: Path) -> Path:
 
 def example() -> ModuleType:
     """Import `examples/hand_controller.py`."""
-    spec = util.spec_from_file_location("hand_controller", ROOT / "examples" / "hand_controller.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
+    return import_file(ROOT / "examples" / "hand_controller.py", "hand_controller")
 
 
 def state_of(shown: ModuleType, numbers: Array, joints: int, fingers: int) -> Any:

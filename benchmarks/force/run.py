@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import gc
 import importlib
-import importlib.util
 import os
 import sys
 import time
@@ -25,6 +24,7 @@ from benchmarks.force.package import problem_of
 from benchmarks.force.problems import OBJECTIVES, Array, Problem, Session, Track
 from benchmarks.force.score import Parts, parts_of, score
 from grasp_env.grasp import presets
+from grasp_env.inputs.files import import_file
 
 HERE = Path(__file__).parent
 Rows = list[dict[str, Any]]
@@ -346,11 +346,5 @@ def _module(location: str) -> Any:
     path = Path(location).resolve()
     if not path.is_file():
         raise ValueError(f"there is no file {location}: give FILE.py:CLASS")
-    spec = importlib.util.spec_from_file_location(f"entrant_{path.stem}", path)
-    assert spec is not None
-    assert spec.loader is not None
-    # dataclasses look for it there
-    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
     sys.path.append(str(path.parent))
-    spec.loader.exec_module(module)
-    return module
+    return import_file(path, f"entrant_{path.stem}")

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import importlib.util
 import io
 import json
 import os
 import re
 import shutil
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -244,3 +247,14 @@ def as_path(path: Any, error: type[GraspError], what: str) -> Path:
     if not isinstance(path, str | os.PathLike) or not os.fspath(path):
         raise error(f"{what} must be a path, got {shown(path)}")
     return Path(path)
+
+
+def import_file(file: str | Path, name: str) -> ModuleType:
+    """Import a Python file as the module `name`."""
+    spec = importlib.util.spec_from_file_location(name, file)
+    assert spec is not None
+    assert spec.loader is not None
+    # dataclasses look up their module there
+    module = sys.modules[name] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module

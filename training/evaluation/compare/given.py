@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import importlib.util
 import inspect
 import os
 import pickle
@@ -20,6 +19,7 @@ import cloudpickle
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.force.initial import InitialForceRule
 from grasp_env.inputs.arguments import AllFaults
+from grasp_env.inputs.files import import_file
 from policies import LearnedInitialForce
 from training.evaluation.compare.starts import GIVEN_COLOURS, STARTS
 
@@ -151,12 +151,7 @@ def _imported(source: str, context: str) -> ModuleType:
         if not source.endswith(".py"):
             return importlib.import_module(source)
         name = "given_" + re.sub(r"\W", "_", os.path.abspath(source))
-        spec = importlib.util.spec_from_file_location(name, source)
-        assert spec is not None
-        assert spec.loader is not None
-        # dataclasses look up their module there
-        module = sys.modules[name] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(module)
+        module = import_file(source, name)
         cloudpickle.register_pickle_by_value(module)
         return module
     except Exception as error:
