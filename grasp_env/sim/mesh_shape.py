@@ -32,8 +32,13 @@ def weld(corners: Array, faces: Any, grain: float) -> tuple[Array, Any]:
     kept, numbers = _distinct(np.round(corners / grain))
     faces = numbers[faces]
     faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
+    return used_corners(corners[kept], faces)
+
+
+def used_corners(corners: Array, faces: Any) -> tuple[Array, Any]:
+    """Drop the corners that no face has, and number the others anew."""
     used, faces = np.unique(faces, return_inverse=True)
-    return corners[kept][used], faces.reshape(-1, 3).astype(np.int64)
+    return corners[used], faces.reshape(-1, 3).astype(np.int64)
 
 
 def _distinct(cells: Array) -> tuple[Any, Any]:

@@ -10,7 +10,14 @@ from grasp_env.errors import InvalidInputError
 from grasp_env.inputs.arguments import Array
 from grasp_env.inputs.extras import need
 from grasp_env.sim.mesh_files import obj_text
-from grasp_env.sim.mesh_shape import connected_parts, extent_of, open_edges, volume, weld
+from grasp_env.sim.mesh_shape import (
+    connected_parts,
+    extent_of,
+    open_edges,
+    used_corners,
+    volume,
+    weld,
+)
 from grasp_env.sim.objects.apart import apart
 from grasp_env.sim.objects.closing import close_mesh
 from grasp_env.sim.objects.reading import MeshFile, read_mesh
@@ -106,7 +113,7 @@ def closed_parts(corners: Array, faces: Any) -> dict[str, Any]:
     """
     corners, faces = weld(corners, faces, _GRAIN * extent_of(corners))
     _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)  # no duplicates
-    parts = [_used_corners(corners, part) for part in connected_parts(faces[np.sort(first)])]
+    parts = [used_corners(corners, part) for part in connected_parts(faces[np.sort(first)])]
     closed = [not open_edges(indices) for _, indices in parts]
     all_corners = [np.empty((0, 3))]
     all_faces = [np.empty((0, 3), np.int64)]
@@ -122,11 +129,6 @@ def closed_parts(corners: Array, faces: Any) -> dict[str, Any]:
         "parts": count,
         "left_out": len(parts) - count,
     }
-
-
-def _used_corners(corners: Array, faces: Any) -> tuple[Array, Any]:
-    used, indices = np.unique(faces, return_inverse=True)
-    return corners[used], indices.reshape(-1, 3)
 
 
 def _closed_part(corners: Array, faces: Any) -> tuple[Array, Any]:
