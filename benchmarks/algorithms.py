@@ -127,7 +127,7 @@ def four_contacts(track: str) -> Iterator[Problem]:
     """Yield the first ten problems of each session of a track with four contacts."""
     for session in load(track).sessions:
         if session.problems[0].n_contacts == 4:
-            yield from (p for p in session.problems[:10] if p.touching is None or p.touching.all())
+            yield from (p for p in session.problems[:10] if p.active.all())
 
 
 def repeated(settings: AlgorithmSettings, call: Callable[[], Any]) -> Array:

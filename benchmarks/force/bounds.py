@@ -102,7 +102,7 @@ class Measure:
         `frames` replace those of the problem.
         """
         n, k = problem.n_contacts, problem.width
-        touching = np.ones(n, dtype=bool) if problem.touching is None else problem.touching
+        touching = problem.active
         spin = np.zeros(n) if problem.torsional_friction is None else problem.torsional_friction
         positions = number(problem.positions)
         wrench = number(problem.wrench)

@@ -90,14 +90,13 @@ class CProblem(ctypes.Structure):
     @classmethod
     def of(cls, problem: Problem) -> CProblem:
         """Return a view of a problem, which must outlive the view."""
-        touching = np.ones(problem.n_contacts) if problem.touching is None else problem.touching
         view = cls(
             problem.n_contacts,
             problem.width,
             0 if problem.torque_limit is None else len(problem.torque_limit),
             len(problem.limit_bound),
             problem.moved,
-            sum(1 << i for i in np.flatnonzero(touching).tolist()),
+            sum(1 << i for i in np.flatnonzero(problem.active).tolist()),
         )
         for name in cls._pointers:
             array = getattr(problem, name)

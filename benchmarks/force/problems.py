@@ -119,6 +119,11 @@ class Problem:
         """k: 4 with torsion, else 3."""
         return 3 if self.torsional_friction is None else 4
 
+    @property
+    def active(self) -> NDArray[np.bool_]:
+        """(N,) True for contacts that touch."""
+        return np.ones(self.n_contacts, dtype=bool) if self.touching is None else self.touching
+
     def _matrix(self) -> Array:
         moments = np.cross(self.positions[:, :, None], self.frames, axisa=1, axisb=1, axisc=1)
         columns = np.concatenate([self.frames, moments], axis=1)  # (N, 6, 3)
@@ -131,7 +136,7 @@ class Problem:
 
     def _limits(self) -> tuple[Array, Array, Array]:
         n, k = self.n_contacts, self.width
-        touching = np.ones(n, dtype=bool) if self.touching is None else self.touching
+        touching = self.active
         rows = []
         bound = []
         size = []

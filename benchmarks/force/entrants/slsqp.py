@@ -24,8 +24,7 @@ class Slsqp:
 
     def solve(self, problem: Problem, start: Array | None = None) -> Answer:
         """See `Entrant`."""
-        touching, k = problem.touching, problem.width
-        on = np.ones(problem.n_contacts, dtype=bool) if touching is None else touching
+        on, k = problem.active, problem.width
         mu = problem.friction[on]
         columns = np.repeat(on, k)
         matrix = problem.matrix[:, columns]
