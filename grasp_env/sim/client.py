@@ -57,8 +57,6 @@ except ImportError as error:
         "use engine='mujoco', or an environment of one of those"
     ) from error
 
-__all__ = ["Client", "bullet"]
-
 
 def _has_display() -> bool:
     """True if a window can be opened. PyBullet ends the whole process if it cannot."""
