@@ -19,7 +19,7 @@ import numpy as np
 
 from benchmarks.benchmark import Benchmark, TimingSettings, tick
 from benchmarks.core_side import ROWS
-from benchmarks.problem import problems
+from benchmarks.problem import LEVER, problems
 from grasp_env.errors import GraspError, InvalidInputError
 from grasp_env.force import ForceOptimizer
 from grasp_env.grasp import Grasp
@@ -34,8 +34,6 @@ STEP = 0.03
 """Step along a path [rad]: 200 calls make one turn."""
 SHIFT, TILT = 2e-3, 0.05
 """Amplitudes of contacts [m] and of their normals [rad] along a path."""
-LEVER = 0.05
-"""Scale of a finger's Jacobian [m/rad]."""
 ROOM = 1.1
 """Torque limits over the largest torques of a path."""
 CALL = "call"

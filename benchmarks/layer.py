@@ -18,6 +18,7 @@ import numpy as np
 
 from benchmarks.benchmark import Benchmark, tick
 from benchmarks.layer_peers import CONTACTS, PEERS, Call, Contestant, Tensors, cone_form
+from benchmarks.problem import LEVER
 from grasp_env.force import ForceLimits, optimize_forces
 from grasp_env.grasp import Grasp
 from grasp_env.grasp.wrench import sample_ball
@@ -32,8 +33,6 @@ with need("train"):
 
 JOINTS = 3
 """Joints of each finger."""
-LEVER = 0.05
-"""Scale of a finger's Jacobian [m/rad]."""
 ROOM = (0.8, 1.6)
 """Range of a torque limit over the largest torque without limits; below 1, for a quarter, it binds."""
 PATCH = (0.002, 0.01)

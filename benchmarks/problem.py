@@ -10,6 +10,8 @@ from grasp_env.grasp.wrench import sample_ball
 from grasp_env.inputs.arguments import Array
 from training.data.grasps import BENCH, PRESETS
 
+LEVER = 0.05
+"""Scale of a finger's Jacobian [m/rad]."""
 WARM_UP = 20
 """Number of untimed calls."""
 
