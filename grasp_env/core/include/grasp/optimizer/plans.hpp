@@ -15,9 +15,9 @@ enum class ProblemKind {
 };
 enum class Algorithm { newton, limited, soft, flow, conic, general };
 
-// If Newton, its variants or `conic` give up, the general program takes over. If that gives up, it
-// proves that there is no force or leaves the call UNDECIDED (`general/deepest.hpp`). A flow has no
-// fallback.
+// If Newton, its variants or the algorithm `conic` give up, the general program takes over. Soft
+// and limited problems of the method `conic` begin with it. If it gives up, it proves that there is
+// no force or leaves the call UNDECIDED (`general/deepest.hpp`). A flow has no fallback.
 struct Plan {
   Method method;
   ProblemKind kind;
