@@ -1,5 +1,6 @@
-// Limits that are linear in one contact's force, a . x <= b, as terms of Phi, which gains lambda /
-// slack for each row of length one: a rank-one change of the contact's 3 x 3 inverse Hessian.
+// Limits that are linear in one contact's force, a . x <= b, such as the joint torques of one
+// finger, as terms of Phi. It gains lambda / slack for each row of length one: a rank-one change of
+// the contact's 3 x 3 inverse Hessian.
 //
 // Below a small slack, the edge, the barrier is replaced by its quadratic extension (C2), so any
 // force inside the cones is a valid start. The edge is lowered until every slack is above it: then

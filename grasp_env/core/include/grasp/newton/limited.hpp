@@ -1,5 +1,5 @@
-// Newton on Phi within limits: the optimum, a proof that no force exists, or the force of least
-// excess.
+// Newton on Phi within limits, whose terms stand in `limits/terms.hpp`: the optimum, a proof that
+// no force exists, or the force of least excess.
 #pragma once
 #include <grasp/newton/excess.hpp>
 #include <grasp/newton/newton.hpp>
