@@ -342,6 +342,8 @@ def test_a_rule_gets_the_contacts_of_the_call():
     assert optimizer.solve(LIGHT, initial=rule, **contacts).initial == "rule"
     tight = ForceLimits(max_normal=0.9 * float(found.force[:, 0].max()))
     assert optimize_force(seen[0], LIGHT, limits=tight, initial=rule).status is Status.OPTIMAL
+    with pytest.raises(InfeasibleStartError, match=r"misses balance by \d"):
+        optimizer.solve(LIGHT, initial=lambda grasp, _: np.ones((4, 3)), contacts=touching)
 
 
 LOADS = [0.3, 5.0, 50.0, 1000.0]
