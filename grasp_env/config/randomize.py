@@ -112,9 +112,10 @@ def draw(rules: Mapping[str, Any], shape: str, rng: np.random.Generator) -> dict
             if path in rules:
                 settings[path] = value
     for path in dict.fromkeys((*OBJECT, *rules)):
-        rule = rules.get(path)
-        if rule and path != "object.shape" and (path not in OBJECT or callable(rule)):
-            settings[path] = _draw_one(path, rule, rng)
+        if path not in rules or path == "object.shape":
+            continue
+        if path not in OBJECT or callable(rules[path]):
+            settings[path] = _draw_one(path, rules[path], rng)
     return settings
 
 

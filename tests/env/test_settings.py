@@ -215,3 +215,15 @@ def test_motors_deliver_a_part_of_the_command():
         env.close()
     assert len(largest) == 10
     assert max(largest) == 12.0
+
+
+def test_a_rule_of_length_zero_is_drawn():
+    class Rule:
+        def __len__(self) -> int:
+            return 0
+
+        def __call__(self, rng: np.random.Generator) -> float:
+            return 0.123
+
+    episode = EnvConfig(randomize={"mass": Rule()}).drawn(np.random.default_rng(0))
+    assert episode.object.mass == 0.123
