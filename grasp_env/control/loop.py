@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -195,6 +196,10 @@ class ForceLoop:
     def outcome(self, target: Array, error: Array, measured: Array) -> core.Outcome:
         """Return the true state of the hold; see `core.Controller.outcome`."""
         return self.core.outcome(target, error, measured)
+
+    def step_info(self, outcome: core.Outcome, measured: Array) -> dict[str, Any]:
+        """Return the entries of `info` from the core; see `core.Controller.step_info`."""
+        return self.core.step_info(outcome, measured)
 
     def tick(
         self,

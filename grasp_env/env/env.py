@@ -542,7 +542,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
 
     def _info(self, scene: Scene, terms: dict[str, float]) -> dict[str, Any]:
         outcome, failure = self._outcome, self._failure
-        step_info = self._loop.core.step_info(outcome, self._observer.measured)
+        step_info = self._loop.step_info(outcome, self._observer.measured)
         if failure == "simulation_diverged":  # the last reading, without forces
             step_info |= {
                 name: np.zeros_like(step_info[name]) for name in ("measured_force", "touching")
