@@ -255,8 +255,13 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         self._action_shape = (action_size(config.agent.action_mode, tips),)
         self.action_space = gym.spaces.Box(-1.0, 1.0, self._action_shape, dtype=np.float32)
         self._ticks_per_step = config.controller.rate // config.agent.rate
-        self._limits: Any = config.limits  # None is resolved
-        self._step_limit = max(1, round(self._limits.duration * config.agent.rate))
+        limits = config.limits
+        assert limits.duration is not None
+        assert limits.max_drift is not None
+        assert limits.max_tilt is not None
+        self._max_drift = limits.max_drift
+        self._max_tilt = limits.max_tilt
+        self._step_limit = max(1, round(limits.duration * config.agent.rate))
         self._camera: Camera | None = None
         self._window: Painter | None = None
         self._started = self._ended = self._warned = False
@@ -381,10 +386,10 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         annotation = self._annotation(scene)
         if self.render_mode == "human":
             if annotation is not None:
-                if self._window is None:
-                    self._window = class_of(scene.config.engine, "painter").of_scene(scene)
-                window: Any = self._window
+                painter = class_of(scene.config.engine, "painter")
+                window: Painter = self._window or painter.of_scene(scene)
                 window.show(annotation)
+                self._window = window
             return None
         if self._camera is None:
             size = self.config.pictures.size
@@ -484,14 +489,15 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         return scene.gravity if self._measured_wrench else self._nominal_gravity
 
     def _failure_cause(self) -> str:
-        outcome, limits = self._outcome, self._limits
-        if outcome.drift > limits.max_drift or outcome.tilt > limits.max_tilt:
+        outcome = self._outcome
+        if outcome.drift > self._max_drift or outcome.tilt > self._max_tilt:
             return "dropped"
-        return "closure_lost" if self._time_without_closure > limits.max_contact_gap else ""
+        gap = self.config.limits.max_contact_gap
+        return "closure_lost" if self._time_without_closure > gap else ""
 
     def _fault(self) -> str:
         """Return why an object that was not lost does not count as held; "" if it does."""
-        outcome, limits = self._outcome, self._limits
+        outcome, limits = self._outcome, self.config.limits
         if not self.config.task.in_place(outcome.drift, outcome.tilt):
             return "drifted"
         if outcome.slide > limits.max_slide:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -42,9 +41,10 @@ def make_plan(config: EnvConfig, rng: np.random.Generator, mass: float) -> Plan:
     (Only the desired motion of "move" depends on the duration, as it ends at rest.)
     """
     generator = np.random.default_rng(int(rng.integers(2**63)))
-    limits: Any = config.limits
-    disturbance: Any = config.disturbance
-    rate, task = config.controller.rate, config.task
+    limits, disturbance, task = config.limits, config.disturbance, config.task
+    assert limits.duration is not None
+    assert disturbance is not None
+    rate = config.controller.rate
     tick = 1.0 / rate
     times = np.arange(round(limits.duration * rate) + 1) / rate
     wrench, gravity = disturb(disturbance, times, generator, config)
