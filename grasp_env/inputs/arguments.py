@@ -201,7 +201,7 @@ def instance(value: Any, kind: type[T], name: str, or_none: bool = False) -> Any
     """Return an object of a class, or None if that is allowed."""
     if not isinstance(value, kind) and not (or_none and value is None):
         article = "an" if kind.__name__[0] in "AEIO" else "a"
-        what = f"{article} {kind.__name__}{' or None' * or_none}"
+        what = f"{article} {kind.__name__}{' or None' if or_none else ''}"
         raise InvalidInputError(f"{name} must be {what}, got {shown(value)}")
     return value
 

@@ -86,7 +86,8 @@ def directions() -> list[tuple[str, Array]]:
         ['+x', '-z', '+mz', '+mx+my']
     """
     unit = np.diag([1.0, 1.0, 1.0, MOMENT_RADIUS, MOMENT_RADIUS, MOMENT_RADIUS])
-    single = [(f"{sign}{_AXES[k]}", float(f"{sign}1") * unit[k]) for k in range(6) for sign in "+-"]
+    signs = (("+", 1.0), ("-", -1.0))
+    single = [(f"{sign}{_AXES[k]}", factor * unit[k]) for k in range(6) for sign, factor in signs]
     pairs = [(f"+{_AXES[a]}+{_AXES[b]}", (unit[a] + unit[b]) / np.sqrt(2.0)) for a, b in _PAIRS]
     return single + pairs
 

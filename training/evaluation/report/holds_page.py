@@ -149,7 +149,7 @@ def grid(rows: Rows, means: Rows) -> Rows:
     table = table.reindex(columns=held[across].unique()).fillna("–")
     table.columns = [CONTROLLER_LABELS.get(name, str(name)) for name in table.columns]
     table = table.reset_index().rename(columns={"case": "held"})
-    return table.assign(held=table["held"].map(LABELS))
+    return table.assign(held=[LABELS[case] for case in table["held"]])
 
 
 def rates_figure(rows: Rows, means: Rows) -> Figure | None:

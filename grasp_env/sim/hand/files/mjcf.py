@@ -133,8 +133,9 @@ class MjcfReader:
         lines = list[str]()
         for motor in self.motors:
             driver = name_of(model, "joint", motor.joint)
-            error = f" (misses by up to {motor.bend:.0%} of its travel)"
-            error = error if motor.bend > STRAIGHT else ""
+            error = ""
+            if motor.bend > STRAIGHT:
+                error = f" (misses by up to {motor.bend:.0%} of its travel)"
             for joint, (ratio, offset) in motor.followers.items():
                 shift = f" {offset:+g}" if offset else ""
                 name = name_of(model, "joint", joint)
