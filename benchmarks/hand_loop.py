@@ -45,8 +45,6 @@ from training.evaluation.results.table import pd, table
 ROOT = Path(__file__).parents[1]
 UNITS = 240.0
 """Largest command, at the largest torque of each joint."""
-MARGIN = 0.9
-"""Fraction of the true friction that the controller assumes."""
 BANDWIDTH = 40.0, 60.0
 """Bandwidths of the feedback on position and orientation [rad/s]."""
 RISE = 0.05
@@ -150,7 +148,7 @@ class SimulatedHand:
         self.scene = scene = self.env.scene
         self.hand: HandDescription = scene.kinematics.hand
         self.limits = scene.kinematics.torque_limits
-        self.friction = MARGIN * scene.config.object.friction * self.hand.tip_friction
+        self.friction = scene.config.object.friction * self.hand.tip_friction
         self.body = critically_damped(scene.config.object, *BANDWIDTH)
         self.target = resting_target(1)[0]
 

@@ -12,7 +12,7 @@ from time import perf_counter
 
 import numpy as np
 
-from grasp_env.force import ForceLimits, ForceOptimizer, Status
+from grasp_env.force import ForceLimits, ForceOptimizer, Margin, Status
 from grasp_env.grasp import Grasp
 from grasp_env.sim import HandDescription, HandKinematics
 
@@ -41,6 +41,10 @@ class HandControllerSettings:
     """Parameters to tune for a hand and a task."""
 
     friction: float = 0.8
+    # share of the friction that forces may use, and normal force that does not count for it [N]:
+    # they cover errors of friction and wrench
+    friction_margin: float = 0.75
+    preload: float = 0.5
     rate: float = 1000.0  # rate of `update` [Hz]
     iterations: int = 40  # largest number of solver steps in an update
     budget: float = 1e-4  # time of an update, longer ones are counted [s]
@@ -103,7 +107,8 @@ class HandController:
         )
         options = {"initial": "previous", "elastic": True, "max_iterations": settings.iterations}
         grasp = Grasp.from_contacts(0.03 * ring, -ring, settings.friction)
-        self.optimizer = ForceOptimizer(grasp, limits=limits, **options)
+        margin = Margin(settings.friction_margin, settings.preload)
+        self.optimizer = ForceOptimizer(grasp, limits=limits, margin=margin, **options)
         self.size = 2 * hand.joint_count + 7 * hand.finger_count + 10  # size of a state
         self.duration, self.late, self.over_budget = 0.0, 0, 0
         self.deactivate()

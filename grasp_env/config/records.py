@@ -11,7 +11,7 @@ from grasp_env.force.objective import Objective
 from grasp_env.force.options import METHODS
 from grasp_env.force.rules import RULES
 from grasp_env.inputs import ranges
-from grasp_env.inputs.ranges import Range
+from grasp_env.inputs.ranges import FRICTION_MARGIN, LEAST_NORMAL_FORCE, Range
 from grasp_env.settings import (
     NOT_NEGATIVE,
     POSITIVE,
@@ -150,8 +150,14 @@ class ControllerSettings(Settings):
     )
     friction_margin: float = setting(
         0.85,
-        real(POSITIVE),
-        "Factor on the assumed friction that the solver may use, so that force errors cause no slip.",
+        real(FRICTION_MARGIN),
+        "Share of the assumed friction that forces may use, so that errors of the friction cause no slip: `Margin.friction`.",
+    )
+    preload: float = setting(
+        0.0,
+        real(LEAST_NORMAL_FORCE),
+        "Normal force of each finger that does not count for friction, so that errors of the wrench cause no slip: `Margin.preload`.",
+        unit="N",
     )
     friction_error: float = setting(
         0.0,

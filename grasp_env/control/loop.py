@@ -12,7 +12,7 @@ from grasp_env.config import EnvConfig
 from grasp_env.control.sensing import NoiseRows, late_ticks, sensor_settings
 from grasp_env.core import Hold
 from grasp_env.errors import InfeasibleStartError, InfeasibleWrenchError, RankDeficientGraspError
-from grasp_env.force import ForceOptimizer, ForceSolution
+from grasp_env.force import ForceOptimizer, ForceSolution, Margin
 from grasp_env.force.initial import (
     InitialForceRule,
     StartRequest,
@@ -63,8 +63,8 @@ class ForceLoop:
         torques: (M,) commanded joint torques [N m].
         force, frames: (N, 3) commanded contact forces [N] and (N, 3, 3) their frames, as in
             `ForceSolution`.
-        friction, torsional_friction: coefficients that the solver assumes [1], [m]; contacts are
-            soft if the second is above 0.
+        margin: the margin of the solver.
+        friction: coefficient that forces may use: the assumed one, within the margin.
     """
 
     def __init__(self, config: EnvConfig, initial_force: str | InitialForceRule) -> None:
@@ -91,13 +91,15 @@ class ForceLoop:
         controller = config.controller
         self.count = hand.finger_count
         self.scene = scene
-        factor = hand.tip_friction * (1.0 + controller.friction_error) * controller.friction_margin
-        self.friction = item.friction * factor
-        self.torsional_friction = item.torsional_friction * factor
+        assumed = hand.tip_friction * (1.0 + controller.friction_error)
+        self._friction = item.friction * assumed
+        self._torsional_friction = item.torsional_friction * assumed
+        self.margin = Margin(controller.friction_margin, controller.preload)
+        self.friction = self._friction * self.margin.friction
         points = np.array(scene.config.contact_points)
         normals = scene.config.contact_normals
         grasp = self.grasp(points, normals)
-        self.optimizer = make_optimizer(grasp, config, self.initial_force)
+        self.optimizer = make_optimizer(grasp, self.margin, config, self.initial_force)
         settings = control_settings(config, item, scene.kinematics)
         settings.remembers = self.optimizer.remembers
         # soft tips on one line have an internal force more
@@ -121,10 +123,10 @@ class ForceLoop:
 
     def grasp(self, points: Array, normals: Array) -> Grasp:
         """Return the grasp of points and inward normals (N, 3), with the assumed friction."""
-        if not self.torsional_friction > 0.0:
-            return Grasp.from_contacts(points, normals, self.friction)
-        soft = {"contact_model": "soft", "torsional_friction": self.torsional_friction}
-        return Grasp.from_contacts(points, normals, self.friction, **soft)
+        if not self._torsional_friction > 0.0:
+            return Grasp.from_contacts(points, normals, self._friction)
+        soft = {"contact_model": "soft", "torsional_friction": self._torsional_friction}
+        return Grasp.from_contacts(points, normals, self._friction, **soft)
 
     def reset(self, rng: np.random.Generator | None = None) -> None:
         """Forget the episode; `rng` draws one seed for the noise (None: keep the current noise)."""
@@ -240,9 +242,10 @@ class ForceLoop:
         touching = self.fingers
         try:
             grasp = Grasp.from_contacts(
-                self.seen.points[touching], self.seen.normals[touching], self.friction
+                self.seen.points[touching], self.seen.normals[touching], self._friction
             )
-            start = rule_start(self.optimizer.initial, grasp, self.wrench, self.optimizer.objective)
+            problem = self.margin.shifted(grasp, self.wrench)
+            start = rule_start(self.optimizer.initial, problem, self.optimizer.objective)
         except self._lost_closure:  # the method reports this from its own start
             self._start = None
             return self.core.act(True, adjustment, None, None)
@@ -251,7 +254,7 @@ class ForceLoop:
         self._start = start
         torques = self.core.act(True, adjustment, force, None)
         if self.core.code == REFUSED and not isinstance(self.initial_force, str):
-            raise refused_start(grasp, self.wrench, start, None)
+            raise refused_start(problem, start, None)
         return torques
 
     def rest(self, external: Array, gravity: Array, target: Array) -> None:
@@ -277,7 +280,7 @@ HOLDS = {"optimized": Hold.optimized, "constant_squeeze": Hold.squeeze, "pd": Ho
 
 
 def make_optimizer(
-    grasp: Grasp, config: EnvConfig, initial_force: str | InitialForceRule
+    grasp: Grasp, margin: Margin, config: EnvConfig, initial_force: str | InitialForceRule
 ) -> ForceOptimizer:
     """Return the configured method for contacts near those of `grasp`.
 
@@ -298,6 +301,7 @@ def make_optimizer(
         grasp,
         method=method,
         initial=initial,
+        margin=margin,
         force_weight=solver.force_weight,
         barrier_weight=None if method == "conic" else solver.barrier_weight,
         tolerance=solver.tolerance,

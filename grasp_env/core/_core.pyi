@@ -212,10 +212,11 @@ class Problem:
     `grasp::Problem`: contacts with the weights of Phi, and limits besides friction.
     """
 
-    def __init__(self, contacts: Contacts, weights: object | None = None, limits: object | None = None) -> None:
+    def __init__(self, contacts: Contacts, weights: object | None = None, limits: object | None = None, margin: object | None = None) -> None:
         """
         weights: omega and lambda of all contacts, or an array (N, 2); None: 1 and 0.01.
         limits: (min_normal, max_normal, jacobian, torque_limit, torque_bias), each an array or None.
+        margin: None, a float, or an object with `friction` and `preload`.
         """
 
 class Options:
@@ -314,17 +315,19 @@ class ForceOptimizer:
     def size(self) -> int:
         """Number of values in a row."""
 
-def newton_grasps(contacts: list, weights: object, first: object, stop: tuple[float, int], wrenches: object, records: object) -> None:
+def newton_grasps(contacts: list, weights: object, first: object, stop: tuple[float, int], wrenches: object, records: object, margin: object | None = None) -> None:
     """
     Solve wrenches on U placed contacts, with `weights` (N, 2) for all; wrenches first[u] to first[u + 1] - 1 belong to
-    contacts u. stop: relative gap, and largest number of steps. Writes complete rows of solutions; releases the GIL.
+    contacts u. stop: relative gap, and largest number of steps. margin: as for `Problem`. Writes complete rows of solutions;
+    releases the GIL.
     REFUSED: soft contacts, or no force closure.
     """
 
-def conic_grasps(contacts: list, weights: object, first: object, stop: tuple[float, int], wrenches: object, records: object) -> None:
+def conic_grasps(contacts: list, weights: object, first: object, stop: tuple[float, int], wrenches: object, records: object, margin: object | None = None) -> None:
     """
     Solve wrenches on U placed contacts, with `weights` (N, 2) for all; wrenches first[u] to first[u + 1] - 1 belong to
-    contacts u. stop: relative gap, and largest number of steps. Writes complete rows of solutions; releases the GIL.
+    contacts u. stop: relative gap, and largest number of steps. margin: as for `Problem`. Writes complete rows of solutions;
+    releases the GIL.
     REFUSED: soft contacts, or no force closure.
     """
 

@@ -588,6 +588,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         loads = plan.wrench[:: self._ticks_per_step].copy()
         loads[:, :3] += self._mass * gravity @ snapshot.rotation
         grasp = self._loop.grasp(snapshot.points, snapshot.normals)
+        grasp = self._loop.margin.narrowed(grasp)
         structure = finger_structure(snapshot, scene.kinematics, grasp, loads)
         self._share = structure.share
         if not self._warned and (message := structure.warning(scene.config.hand.finger_names)):

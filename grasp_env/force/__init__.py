@@ -5,6 +5,7 @@ from grasp_env.force.batch import optimize_forces
 from grasp_env.force.description import description_matrix
 from grasp_env.force.limits import ForceLimits
 from grasp_env.force.many import ForceSolutions
+from grasp_env.force.margin import Margin
 from grasp_env.force.objective import Objective
 from grasp_env.force.optimizer import ForceOptimizer, optimize_force
 from grasp_env.force.repair import Repair
@@ -28,6 +29,7 @@ __all__ = [
     "ForceOptimizer",
     "ForceSolution",
     "ForceSolutions",
+    "Margin",
     "Objective",
     "OfflineBasis",
     "Repair",

@@ -135,8 +135,10 @@ def _compiled_grasps(
     else:
         return None
     weights = options.objective.weights(count)
+    stop = options.tolerance, options.max_iterations
+    margin = optimizer.margin
     return lambda contacts, begins, loads, records: call(
-        contacts, weights, begins, (options.tolerance, options.max_iterations), loads, records
+        contacts, weights, begins, stop, loads, records, margin
     )
 
 

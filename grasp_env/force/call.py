@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from grasp_env.errors import InvalidInputError, shown
+from grasp_env.force.margin import Margin, as_margin
 from grasp_env.force.torques import checked_jacobian
 from grasp_env.grasp.checks import rank_error
 from grasp_env.grasp.grasp import Grasp
@@ -23,6 +24,7 @@ class Call(NamedTuple):
     jacobian: Any
     torque_bias: Any
     contacts: Any
+    margin: Any = None
 
 
 def checked_call(
@@ -34,6 +36,7 @@ def checked_call(
     jacobian: Any = None,
     torque_bias: Any = None,
     contacts: Any = None,
+    margin: Any = None,
 ) -> Call:
     """Check the arguments of `ForceOptimizer.solve`; limits have a Jacobian (N, *motions)."""
     n = grasp.n_contacts
@@ -65,7 +68,14 @@ def checked_call(
             check(rows),
             check(array, torque_bias, (joints,), "torque_bias", within=ranges.BIAS),
             touch,
+            None if margin is None else check(_margin, margin, n),
         )
+
+
+def _margin(margin: Any, count: int) -> Margin:
+    checked = as_margin(margin)
+    checked.preloads(count)  # raises if they are of another number of contacts
+    return checked
 
 
 def _mask(contacts: Any, count: int) -> Any:
@@ -93,7 +103,7 @@ def touching_grasp(grasp: Grasp, call: Call) -> Grasp:
     Raises:
         RankDeficientGraspError: no contact touches.
     """
-    positions, normals, friction, _, _, mask = call
+    positions, normals, friction, mask = call.positions, call.normals, call.friction, call.contacts
     if mask is not None and not mask.any():
         raise rank_error(0, 0)
     chosen = slice(None) if mask is None else mask

@@ -11,6 +11,7 @@ import numpy as np
 from grasp_env import core
 from grasp_env.errors import InfeasibleStartError, InvalidInputError, shown
 from grasp_env.force.basis import OfflineBasis
+from grasp_env.force.margin import ShiftedProblem
 from grasp_env.force.objective import Objective
 from grasp_env.force.options import Options
 from grasp_env.force.record import REPLACED, START
@@ -163,8 +164,12 @@ def checked_initial(initial: Any) -> Any:
     return initial
 
 
-def rule_start(initial: Any, grasp: Grasp, wrench: Wrench, objective: Objective) -> StartRequest:
-    """Return the start from a rule, which may have none, or from the user's force (N, 3) [N]."""
+def rule_start(initial: Any, problem: ShiftedProblem, objective: Objective) -> StartRequest:
+    """Return the start from a rule, which may have none, or from the user's force (N, 3) [N].
+
+    A rule sees the shifted problem of the margin.
+    """
+    grasp, wrench, _ = problem
     if isinstance(initial, np.ndarray | list | tuple):
         return StartRequest(GIVEN, "given", force=_force("given", initial, grasp))
     name = rule_name(initial)
@@ -174,7 +179,7 @@ def rule_start(initial: Any, grasp: Grasp, wrench: Wrench, objective: Objective)
         force = Repair(objective)(grasp, wrench, force)
     start = _force(name, force, grasp)
     replaced = not isinstance(initial, LinearCombination) and start_replaced(grasp, wrench, start)
-    return StartRequest(GIVEN, name, replaced, start)
+    return StartRequest(GIVEN, name, replaced, problem.outer(start))
 
 
 def _force(name: str, force: Any, grasp: Grasp) -> ContactForces:
@@ -203,11 +208,12 @@ def names_of(initial: Any, options: Options) -> Names:
 
 
 def refused_start(
-    grasp: Grasp, wrench: Wrench, start: StartRequest, touching: Any
+    problem: ShiftedProblem, start: StartRequest, touching: Any
 ) -> InfeasibleStartError:
     """Return the error for a given force that a descent did not accept."""
     assert start.force is not None
-    force = start.force if touching is None else start.force[touching]
+    grasp, wrench, _ = problem
+    force = problem.inner(start.force if touching is None else start.force[touching])
     missed = grasp.residual(force, wrench)
     scale = float(np.abs(force).max()) + float(np.abs(grasp.unit_frame @ wrench).max())
     if missed > BALANCE_TOLERANCE * scale:
@@ -216,7 +222,7 @@ def refused_start(
             "add -G^+ (G f + w), or pass it through grasp_env.force.Repair"
         )
     return InfeasibleStartError(
-        f"initial-force rule {start.name!r} leaves the friction cones (margin {grasp.cone_margin(force):.3g} N); "
+        f"initial-force rule {start.name!r} leaves the friction cones (cone margin {grasp.cone_margin(force):.3g} N, within the optimizer's margin); "
         "pass it through grasp_env.force.Repair"
     )
 

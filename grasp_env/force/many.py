@@ -69,6 +69,12 @@ class ForceSolutions(Sequence[ForceSolution]):
         return self.records[:, at.FORCE + 6 * n : at.FORCE + 7 * n]
 
     @property
+    def friction_used(self) -> Array:
+        """(M, N) share of the given friction that each force uses."""
+        n = self.n_contacts
+        return self.records[:, at.FORCE + 16 * n : at.FORCE + 17 * n]
+
+    @property
     def wrench(self) -> Array:
         """(M, 6) [N, N m]."""
         return self.records[:, at.WRENCH : at.WRENCH + 6]
@@ -174,6 +180,7 @@ def solve_one(optimizer: Any, load: Array, record: Array) -> None:
             record[at.CODE], record[at.OBJECTIVE], record[at.BOUND] = at.UNDECIDED, np.inf, -np.inf
             record[at.CONTACTS] = optimizer.grasp.n_contacts
             record[at.WRENCH : at.WRENCH + 6] = load
+            record[at.WRENCH_WITH_PRELOAD : at.WRENCH_WITH_PRELOAD + 6] = load
         else:
             record[:] = solution._record
 

@@ -37,6 +37,7 @@ from grasp_env.force.initial import (
 )
 from grasp_env.force.limits import ForceLimits, as_limits, core_limits
 from grasp_env.force.many import ForceSolutions, checked_batch, solve_many
+from grasp_env.force.margin import Margin, ShiftedProblem, as_margin, nearest_margin
 from grasp_env.force.objective import Objective, Weight
 from grasp_env.force.options import MAX_ITERATIONS, checked_options
 from grasp_env.force.proof import explain
@@ -84,6 +85,9 @@ class ForceOptimizer:
         criterion: what "conic" minimises, the "sum" or the "max" of the normal forces, each times
             its `force_weight`.
         limits: a `ForceLimits` on normal forces and joint torques, for "newton" and "conic".
+        margin: how far forces stay inside the friction cones, a `Margin` or its share of friction;
+            None: up to the cones. The optimum lies close to the margin, so an error of friction or
+            of the wrench that the margin does not cover lets the object slip.
         force_weight, barrier_weight: the weights of `Objective`. A barrier of None is 0.01;
             "conic" has none.
         tolerance: relative certified gap at which to stop, at most 1. None: 1e-4, or 1e-6 for
@@ -129,6 +133,7 @@ class ForceOptimizer:
         initial: Initial | None = None,
         criterion: str = "sum",
         limits: ForceLimits | None = None,
+        margin: Margin | float | None = None,
         force_weight: Weight = 1.0,
         barrier_weight: Weight | None = None,
         tolerance: float | None = None,
@@ -149,6 +154,7 @@ class ForceOptimizer:
         with AllFaults() as check:
             self.options, self._grasp = check(checked_options, *settings), check(as_grasp, grasp)
             self.limits = limits if limits is None else check(as_limits, limits)
+            self._margin = check(as_margin, margin)
             self._initial = initial if initial is None else check(checked_initial, initial)
         if elastic and limits is None:
             raise InvalidInputError(
@@ -158,6 +164,7 @@ class ForceOptimizer:
             raise InvalidInputError(
                 f"method 'conic' starts from its own centre, got initial={shown(initial)}"
             )
+        self._margin.check_limits(self.limits, grasp.n_contacts)
         self._make()
         warn_of_contacts(grasp, self.limits)
         if isinstance(self._initial, ForceSolution):
@@ -167,6 +174,7 @@ class ForceOptimizer:
         grasp = self.grasp
         options = self.options
         initial = self._initial
+        self._narrowed = self._margin.narrowed(grasp)
         start, model, remembers = 0, None, False
         self.names = names_of(initial, options)
         if isinstance(initial, ForceSolution):
@@ -178,7 +186,7 @@ class ForceOptimizer:
             start = LEARNED
             remembers = bool(initial.remembers)
             try:
-                model = call_rule(initial, initial.model, grasp, options.objective)
+                model = call_rule(initial, initial.model, self._narrowed, options.objective)
                 what = f"what initial-force rule {rule_name(initial)!r} predicts with"
                 instance(model, core.Model, what)
             except InfeasibleStartError as error:
@@ -197,6 +205,7 @@ class ForceOptimizer:
             grasp.contacts,
             pair if plain else weights.weights(grasp.n_contacts),
             core_limits(self.limits, grasp.n_contacts),
+            self._margin if self._margin else None,
         )
         settings = core.Options(
             method=options.method,
@@ -216,7 +225,7 @@ class ForceOptimizer:
         self._solve = self.core.solve
         self._count = grasp.n_contacts
         if isinstance(initial, str) and initial in FROM_BASIS:
-            OfflineBasis.of(grasp, options.objective)  # raises if the grasp has none
+            OfflineBasis.of(self._narrowed, options.objective)  # raises if the grasp has none
 
     def __repr__(self) -> str:
         start = "its own start" if self._initial is None else rule_name(self._initial)
@@ -226,6 +235,11 @@ class ForceOptimizer:
     def grasp(self) -> Grasp:
         """The contacts."""
         return self._grasp
+
+    @property
+    def margin(self) -> Margin:
+        """How far forces stay inside the friction cones."""
+        return self._margin
 
     @property
     def initial(self) -> Initial | None:
@@ -289,6 +303,7 @@ class ForceOptimizer:
         jacobian: ArrayLike | None = None,
         torque_bias: ArrayLike | None = None,
         contacts: ArrayLike | None = None,
+        margin: Margin | float | None = None,
         initial: Initial | None = None,
         optimum: float | None = None,
         trace: bool = False,
@@ -309,6 +324,7 @@ class ForceOptimizer:
             torque_bias: (J,) tau_0 [N m], as in `ForceLimits`.
             contacts: (N,) True for contacts that touch; the force of the others is zero. None: all
                 touch. At most 64 contacts.
+            margin: as for the constructor; `Margin()` is none.
             initial: a start for this call only.
             optimum: the optimal Phi, if known: the solve stops when Phi is within `tolerance`
                 (relative) of it (for studies).
@@ -316,15 +332,15 @@ class ForceOptimizer:
 
         Raises:
             InvalidInputError: wrong shapes, values that are not finite or out of range.
-            InfeasibleWrenchError: no force strictly inside the cones and limits balances the
-                wrench; the error contains the proof. Two hard contacts, for example, do not balance
+            InfeasibleWrenchError: no force strictly inside the cones, the margin and the limits
+                balances the wrench; the error contains the proof. Two hard contacts, for example, do not balance
                 a moment about the line through them.
             RankDeficientGraspError: no contact touches; or a flow, and contacts of rank below 6.
             InfeasibleStartError: the start is not balanced or not strictly inside the cones, or its
                 rule fails.
             NotConvergedError: neither a force nor a proof was found.
         """
-        arrays = (positions, normals, friction, jacobian, torque_bias, contacts)
+        arrays = (positions, normals, friction, jacobian, torque_bias, contacts, margin)
         if initial is None and optimum is None and trace is False and self.core_finds_start:
             solution = self._solve(wrench, arrays, None)
             if solution is NotImplemented:  # an argument cannot be read in place
@@ -346,6 +362,7 @@ class ForceOptimizer:
             raise InvalidInputError(
                 "jacobian and torque_bias need torque limits: make the optimizer with limits"
             )
+        self._margin_of(call).check_limits(self.limits, self._count, call.contacts)
         return load, call
 
     def _solve_from(
@@ -378,16 +395,18 @@ class ForceOptimizer:
         normals: ArrayLike | None = None,
         friction: ArrayLike | None = None,
         contacts: ArrayLike | None = None,
+        margin: Margin | float | None = None,
         initial: Initial | None = None,
     ) -> ContactForces:
         """Return the initial force (N, 3) [N] of `solve`.
 
-        `solve` documents wrench, positions, normals, friction, contacts, initial and the errors.
+        `solve` documents wrench, positions, normals, friction, contacts, margin, initial and the
+        errors.
 
         Raises:
             UnsupportedProblemError: the method takes no initial force.
         """
-        arrays = (positions, normals, friction, None, None, contacts)
+        arrays = (positions, normals, friction, None, None, contacts, margin)
         return self._start_and_replaced(wrench, initial, *arrays)[0]
 
     def _start_and_replaced(
@@ -396,8 +415,7 @@ class ForceOptimizer:
         """Return `start`, and True if another start replaced the requested one."""
         if self.method == "conic":
             raise UnsupportedProblemError("method 'conic' takes no initial force")
-        load = as_wrench(wrench)
-        call = self._arrays(*arrays)
+        load, call = self._checked(wrench, arrays)
         start = self._start(load, call, initial)
         solution = self.core.start(load, call, start.request())
         if solution.code != STARTED:
@@ -416,16 +434,18 @@ class ForceOptimizer:
         friction: ArrayLike | None = None,
         jacobian: ArrayLike | None = None,
         torque_bias: ArrayLike | None = None,
+        margin: Margin | float | None = None,
     ) -> None:
         """Replace arguments of the constructor; those left out stay.
 
-        `solve` documents positions, normals, friction, jacobian and torque_bias. The 12-basis is
-        computed again if the start needs it.
+        `solve` documents positions, normals, friction, jacobian, torque_bias and margin. The
+        12-basis is computed again if the start needs it.
 
         Raises:
             InvalidInputError, RankDeficientGraspError: as in `solve`; the optimizer is unchanged.
         """
-        call = self._arrays(positions, normals, friction, jacobian, torque_bias)
+        call = self._arrays(positions, normals, friction, jacobian, torque_bias, None, margin)
+        self._margin_of(call).check_limits(self.limits, self._count)
         moved = any(array is not None for array in call[:3])
         grasp = touching_grasp(self.grasp, call) if moved else self.grasp
         if self.options.flows and grasp.rank < 6:
@@ -436,6 +456,8 @@ class ForceOptimizer:
             )
         self._grasp = grasp
         self.limits = self._limits_of(call)
+        self._margin = self._margin_of(call)
+        self._narrowed = self._margin.narrowed(grasp)
 
     def _arrays(self, *arrays: Any) -> Call:
         jacobian: Any = None if self.limits is None else self.limits.jacobian
@@ -448,6 +470,9 @@ class ForceOptimizer:
         changes = {name: value.copy() for name, value in changes.items() if value is not None}
         return replace(self.limits, **changes) if self.limits and changes else self.limits
 
+    def _margin_of(self, call: Call) -> Margin:
+        return self._margin if call.margin is None else call.margin
+
     def _start(self, wrench: Wrench, call: Call, initial: Initial | None) -> StartRequest:
         requested: Any = self._initial if initial is None else checked_initial(initial)
         if requested is None or self.method == "conic":
@@ -456,18 +481,29 @@ class ForceOptimizer:
             return StartRequest(PREVIOUS, before=self._checked_previous(requested))
         if isinstance(requested, str):
             if initial is not None and requested in FROM_BASIS:
-                self.core.set_basis(OfflineBasis.of(self.grasp, self.options.objective).cone_forces)
+                basis = OfflineBasis.of(self._narrowed, self.options.objective)
+                self.core.set_basis(basis.cone_forces)
             return StartRequest(STARTS.index(requested))
         if initial is None and isinstance(requested, CompiledRule):
             return OWN_START
-        same = all(array is None for array in call)
-        grasp = self.grasp if same else touching_grasp(self.grasp, call)
-        start = rule_start(requested, grasp, wrench, self.options.objective)
+        start = rule_start(requested, self._shifted(wrench, call), self.options.objective)
         if call.contacts is None or call.contacts.all():
             return start
         force = np.zeros((self._count, 3))
         force[call.contacts] = start.force
         return StartRequest(start.start, start.name, start.replaced, force)
+
+    def _shifted(self, wrench: Wrench, call: Call) -> ShiftedProblem:
+        """Return the problem of a call without its margin, on the contacts that touch."""
+        if all(array is None for array in call):
+            grasp, margin = self._narrowed, self._margin
+        else:
+            margin = self._margin_of(call)
+            grasp = margin.narrowed(touching_grasp(self.grasp, call))
+        preload = margin.preloads(self._count)
+        return ShiftedProblem.of(
+            grasp, wrench, preload if call.contacts is None else preload[call.contacts]
+        )
 
     def _checked_previous(self, previous: ForceSolution) -> ForceSolution:
         if not previous.has_force:
@@ -481,15 +517,24 @@ class ForceOptimizer:
         return previous
 
     def _proof(self, solution: ForceSolution, arrays: tuple[Any, ...]) -> str:
-        limits, grasp = self.limits, self.grasp
-        if any(array is not None for array in arrays):
-            try:
-                call = self._arrays(*arrays)
-                grasp = touching_grasp(self.grasp, call)
-            except GraspError:  # the caller has overwritten the arrays
-                return explain(solution, None, limits)
-            limits = self._limits_of(call)
-        return explain(solution, grasp, limits)
+        try:
+            call = self._arrays(*arrays)
+            problem = self._shifted(solution.wrench, call)
+        except GraspError:  # the caller has overwritten the arrays
+            return explain(solution, None, self.limits, np.zeros(self._count))
+        proof = explain(solution, problem.grasp, self._limits_of(call), problem.preload)
+        margin = self._margin_of(call)
+        if not margin:
+            return proof
+        limits = core_limits(self.limits, self._count)
+        contacts = core.Problem(self.grasp.contacts, None, limits)
+        solver: Any = core.ForceOptimizer(contacts, core.Options(method="conic"), ForceSolution)
+
+        def largest_share(other: Margin) -> float | None:
+            found = solver.solve(solution.wrench, call._replace(margin=other))
+            return float(np.nanmax(found.friction_used)) if found.has_force else None
+
+        return f"{nearest_margin(margin, largest_share)}{proof}"
 
     def _error(
         self,
@@ -512,7 +557,7 @@ class ForceOptimizer:
         except GraspError as error:
             return error
         if code == REFUSED and start.force is not None:
-            return refused_start(grasp, load, start, call.contacts)
+            return refused_start(self._shifted(load, call), start, call.contacts)
         if code == REFUSED:
             return InvalidInputError(
                 f"the call has numbers that the solver cannot use, for wrench {load.tolist()} and {grasp}"

@@ -35,10 +35,17 @@ def least_normal_motions(grasp: Grasp, q: Array) -> Array:
     return tangential + models.torsional_friction * np.abs(q[:, 3])
 
 
-def explain(solution: ForceSolution, grasp: Grasp | None, limits: ForceLimits | None) -> str:
+def explain(
+    solution: ForceSolution, grasp: Grasp | None, limits: ForceLimits | None, preload: Array
+) -> str:
     """Explain why no force balances the wrench of an infeasible solution.
 
-    The message names no contacts if `grasp`, those that touch, has not all of the solution's.
+    Args:
+        solution: the solution, whose certificate is the proof.
+        grasp: the contacts that touch, with the friction within the margin. The message names no
+            contacts if it has not all of the solution's, or is None.
+        limits: the limits of the problem.
+        preload: (N,) [N] of the margin.
     """
     twist = solution.certificate
     assert twist is not None
@@ -51,7 +58,7 @@ def explain(solution: ForceSolution, grasp: Grasp | None, limits: ForceLimits | 
             "the wrench (grasp.within_reach), or add a contact, friction or soft fingertips"
         )
     needed = _needed(solution, limits)
-    slipping = [] if grasp is None else _slipping(solution, grasp, limits)
+    slipping = [] if grasp is None else _slipping(solution, grasp, limits, preload)
     plural = "s" * (len(slipping) > 1)
     where = f" of contact{plural} {', '.join(map(str, slipping))}" if slipping else ""
     if needed:
@@ -87,7 +94,9 @@ def _needed(solution: ForceSolution, limits: ForceLimits | None) -> list[str]:
     return needed
 
 
-def _slipping(solution: ForceSolution, grasp: Grasp, limits: ForceLimits | None) -> list[int]:
+def _slipping(
+    solution: ForceSolution, grasp: Grasp, limits: ForceLimits | None, preload: Array
+) -> list[int]:
     """Return the contacts that the proof needs to slip; none if it does not hold for the grasp."""
     twist = solution.certificate
     if twist is None or grasp.n_contacts != solution.n_contacts:
@@ -99,13 +108,14 @@ def _slipping(solution: ForceSolution, grasp: Grasp, limits: ForceLimits | None)
         rows = limits.rows(grasp)
         multipliers = solution.limit_multipliers
         q += (multipliers @ rows.matrix).reshape(-1, 4)
-        right = float(multipliers @ rows.bound)
+        bound = rows.bound - rows.matrix[:, ::4] @ preload
+        right = float(multipliers @ bound)
         size = max(size, float((multipliers[:, None] * np.abs(rows.matrix)).max(initial=0.0)))
     least = least_normal_motions(grasp, q)
-    scale = abs(right) + float(np.abs(twist * solution.wrench).sum())
+    wrench = solution.wrench_with_preload
+    scale = abs(right) + float(np.abs(twist * wrench).sum())
     if not (
-        (q[:, 0] - least >= -ROUNDING * size).all()
-        and twist @ solution.wrench - right >= -ROUNDING * scale
+        (q[:, 0] - least >= -ROUNDING * size).all() and twist @ wrench - right >= -ROUNDING * scale
     ):
         return []
     return [

@@ -25,11 +25,13 @@ CONTACTS = _AT["contacts"]
 """Offset of N; those above are of the outcome, the certificates and the start."""
 WRENCH = _AT["wrench"]
 """Offset of the balanced wrench, 6 numbers."""
+WRENCH_WITH_PRELOAD = _AT["wrench_with_preload"]
+"""Offset of the same plus what the preloads make, 6 numbers."""
 MULTIPLIERS = _AT["multipliers"]
 """Offset of `ForceSolution.multipliers`, 6 numbers; the twist if infeasible."""
 FORCE = _AT["force"]
-"""Offset of the force, 3N numbers; 3N initial force, N torsion, 9N frames, joint torques and
-multipliers of limits follow."""
+"""Offset of the force, 3N numbers; 3N initial force, N torsion, 9N frames, N shares of friction,
+joint torques and multipliers of limits follow."""
 
 CONVERGED = _CODES["converged"]
 LIMIT = _CODES["limit"]

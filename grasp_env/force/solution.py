@@ -5,6 +5,8 @@ from __future__ import annotations
 from enum import Enum
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from grasp_env.core import Solution
 from grasp_env.errors import InfeasibleWrenchError, NotConvergedError
 from grasp_env.force.record import (
@@ -120,7 +122,11 @@ class ForceSolution(Solution):
         initial_force: (N, 3) the start [N].
         torsion: (N,) torsion of each finger on the object about its normal [N m]; zero unless the
             contact is soft.
+        friction_used: (N,) share of the given friction that each force uses, torsion included: 1 on
+            the cone. NaN for contacts that do not touch, inf for a tangential force without a
+            normal one. A contact that uses 0.99 slips if the friction is 1 % lower than given.
         wrench: (6,) the external wrench that `force` balances [N, N m].
+        wrench_with_preload: (6,) `wrench` plus that of the margin's preloads, w + G s n [N, N m].
         multipliers: (6,) nu of balance: grad objective = G^T nu (+ multipliers of the limits),
             d objective / d wrench = -nu.
         limit_multipliers: (M,) multipliers >= 0 of the limits, in the order of
@@ -137,7 +143,8 @@ class ForceSolution(Solution):
         optimality_gap: (objective - lower_bound) / lower_bound, certified; +inf without a positive
             bound.
         equilibrium_residual: `Grasp.residual` of the force [N].
-        cone_margin: `Grasp.cone_margin` of the force [N]; > 0 strictly inside.
+        cone_margin: `Grasp.cone_margin` of the force [N], of the cones within the `Margin`; > 0
+            strictly inside.
         limit_excess: largest excess of a limit as a fraction of that limit; see `elastic` of
             `ForceOptimizer`.
         objective_trace: Phi of every iterate with `trace=True`; else empty.
@@ -164,7 +171,8 @@ class ForceSolution(Solution):
 
         It is a twist v with G_i^T v in the dual cone of every contact and v . w > 0. With limits
         A f <= b and multipliers y, `limit_multipliers`, G^T v + A^T y lies in the dual cones and
-        v . w > y . b. For a zero wrench v . w = 0: no force strictly inside the cones balances
+        v . w > y . b. With a `Margin` of preloads s, the cones are those within its share of
+        friction, w is `wrench_with_preload`, and b is b - A s n. For a zero wrench v . w = 0: no force strictly inside the cones balances
         itself, and the force zero has no finite Phi.
         """
         return self.multipliers if self.code == INFEASIBLE else None
@@ -210,9 +218,12 @@ class ForceSolution(Solution):
             "friction cones that the proof needs"
         )
 
+    def _largest_share(self) -> str:
+        return f"{np.nanmax(self.friction_used):.3g}" if self.has_force else "none"
+
     def __repr__(self) -> str:
         return (
             f"ForceSolution({self.status.value}, {self.method} from {self.initial}, {self.n_contacts} contacts, "
             f"{self.iterations} iterations, objective {self.objective:.6g}, gap {self.optimality_gap:.1e}, "
-            f"balance {self.equilibrium_residual:.1e} N, margin {self.cone_margin:.3g} N)"
+            f"balance {self.equilibrium_residual:.1e} N, friction used {self._largest_share()})"
         )

@@ -31,6 +31,8 @@ TORSIONAL_FRICTION = Range(1e-15, 1e6, "m")
 """Torsional friction gamma."""
 TORSIONAL_LEVER = 1e4
 """Largest gamma in lengths of the grasp: from 1e6 on torsion outweighs every other moment."""
+FRICTION_MARGIN = Range(0.01, 1.0)
+"""Shares of friction that forces may use."""
 LENGTH = Range(1e-9, 1e6, "m")
 """Lengths of grasps, and others that turn moments into forces."""
 DISTANCE = 1e5

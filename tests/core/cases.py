@@ -195,7 +195,7 @@ class Case:
 
     def torques_and_multipliers(self, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Joint torques (J,) and multipliers of the limits (M,) in a record."""
-        rest = row[FIELDS["force"] + 16 * self.count :]
+        rest = row[FIELDS["force"] + 17 * self.count :]
         return np.split(rest, [self.jacobian.shape[2]])[0], np.split(
             rest, [self.jacobian.shape[2]]
         )[1]

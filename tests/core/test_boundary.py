@@ -110,7 +110,7 @@ def calls() -> dict[str, Call]:
         "wrenches": LOADS,
         "stop": tuple(STOP.values()),
     }
-    records = {"records": (3, SIZE + 9 * COUNT)}
+    records = {"records": (3, SIZE + 10 * COUNT)}
     deepest = {"force": (COUNT, 3), "torsion": (COUNT,), "twist": (6,)}
     return {
         "Contacts.make": Call(

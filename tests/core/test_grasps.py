@@ -92,14 +92,15 @@ def solved(
     count = given[0].count
     size = _core.record_size(count)
     begin = np.arange(len(given) + 1.0) if first is None else first
-    rows = np.full((len(loads), size + 9 * count), -7.0)
+    rows = np.full((len(loads), size + 10 * count), -7.0)
     CALLS[method](
         given, weights_of(count), begin, (tolerance or TOLERANCES[method], limit), loads, rows
     )
     for k, contacts in enumerate(given):
         for row in rows[int(begin[k]) : int(begin[k + 1])]:
             if row[CODE] == 0.0:
-                np.testing.assert_array_equal(row[size:], np.ravel(contacts.frames))
+                frames = np.ravel(contacts.frames)
+                np.testing.assert_array_equal(row[size : size + 9 * count], frames)
     return rows[:, :size]
 
 

@@ -24,7 +24,7 @@ SANITIZED = [
     "-D_GLIBCXX_ASSERTIONS",
 ]
 NUMBER = re.compile(r"-?\b\d+\.?\d*")
-MOST_CHARACTERS = {True: 3_100, False: 10_100}
+MOST_CHARACTERS = {True: 3_100, False: 10_300}
 
 
 def model(folder: Path) -> Path:

@@ -21,7 +21,7 @@ NAMES = Names("newton", "previous")
 
 def row(count: int = 4, joints: int = 0, limits: int = 0, **said: float) -> np.ndarray:
     """A record with numbers 0, 1, 2, ... after the summary, whose fields are `said`."""
-    numbers = np.arange(float(FORCE + 16 * count + joints + limits))
+    numbers = np.arange(float(FORCE + 17 * count + joints + limits))
     numbers[:FORCE] = 0.0
     for name, value in (said | {"contacts": count, "joints": joints, "limits": limits}).items():
         numbers[PLACES[name]] = value
@@ -43,6 +43,7 @@ def test_arrays_are_views_of_the_record(count, joints, limits):
         "initial_force": (count, 3),
         "torsion": (count,),
         "frames": (count, 3, 3),
+        "friction_used": (count,),
         "torques": (joints,),
         "limit_multipliers": (limits,),
     }

@@ -216,7 +216,7 @@ def test_contacts_without_rank_have_an_infinite_objective(method):
     ):
         optimizer.solve(LOADS[0], contacts=np.array([True, False, False, False]))
     alone = np.array([True, False, False, False])
-    solution = optimizer.core.solve(LOADS[0], (None, None, None, None, None, alone), None)
+    solution = optimizer.core.solve(LOADS[0], (None, None, None, None, None, alone, None), None)
     ends = (
         (RANK_LOST, np.inf, -np.inf) if method == "reduced_flow" else (INFEASIBLE, np.inf, np.inf)
     )

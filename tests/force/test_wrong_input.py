@@ -298,7 +298,10 @@ def fail(*_: object) -> NoReturn:
         (lambda good: good + np.inf, "initial force must be finite, got .*inf"),
         (lambda good: 1.01 * good, r"misses balance by .* N \(G f \+ w = 0.*Repair"),
         (lambda good: good + [[1e-4, 0.0, 0.0]] * 4, "misses balance by 0.000"),
-        (lambda good: good - 3.0 * SQUEEZE, r"leaves the friction cones \(margin -.* N\).*Repair"),
+        (
+            lambda good: good - 3.0 * SQUEEZE,
+            r"leaves the friction cones \(cone margin -.* N.*\).*Repair",
+        ),
     ],
 )
 def test_a_rule_that_breaks_its_promise(broken, message):

@@ -80,16 +80,16 @@ class ForceOptimizer : public grasp::ForceOptimizer {
     return changes.is_none() || read(changes, request.now);
   }
   bool read(nb::handle changes, Changes& now) {
-    enum { POSITIONS, NORMALS, FRICTION, JACOBIAN, TORQUE_BIAS, CONTACTS, ALL };
+    enum { POSITIONS, NORMALS, FRICTION, JACOBIAN, TORQUE_BIAS, CONTACTS, MARGIN, ALL };
     if (!PyTuple_Check(changes.ptr()) || PyTuple_GET_SIZE(changes.ptr()) != ALL)
       throw nb::type_error(
-          "expected positions, normals, friction, jacobian, torque_bias and contacts");
+          "expected positions, normals, friction, jacobian, torque_bias, contacts and margin");
     const auto item = [&](int which) { return PyTuple_GET_ITEM(changes.ptr(), which); };
     return ArrayArgument(item(POSITIONS)).take({count, 3}, now.positions) &&
            ArrayArgument(item(NORMALS)).take({count, 3}, now.normals) &&
            ArrayArgument(item(TORQUE_BIAS)).take({joints}, now.torque_bias) &&
            read_friction(item(FRICTION), now) && read_jacobian(item(JACOBIAN), now) &&
-           read_contacts(item(CONTACTS), now);
+           read_contacts(item(CONTACTS), now) && read_margin(item(MARGIN), count, now.margin);
   }
 
  private:
@@ -217,6 +217,29 @@ void combine(nb::handle basis, nb::handle wrench, bool printed, nb::handle to) {
 }
 
 }  // namespace
+
+bool read_margin(PyObject* object, int count, std::optional<grasp::Margin>& to) {
+  static PyObject* const friction_name = PyUnicode_InternFromString("friction");
+  static PyObject* const preload_name = PyUnicode_InternFromString("preload");
+  if (object == Py_None) return true;
+  if (PyFloat_CheckExact(object)) {
+    to = grasp::Margin{PyFloat_AsDouble(object)};
+    return true;
+  }
+  const nb::object friction = nb::steal(PyObject_GetAttr(object, friction_name));
+  const nb::object preload = nb::steal(PyObject_GetAttr(object, preload_name));
+  PyErr_Clear();
+  if (!friction || !preload || !PyFloat_CheckExact(friction.ptr())) return false;
+  to = grasp::Margin{PyFloat_AsDouble(friction.ptr())};
+  if (PyFloat_CheckExact(preload.ptr())) {
+    to->preload = PyFloat_AsDouble(preload.ptr());
+    return true;
+  }
+  const ArrayArgument array(preload.ptr());
+  if (!array.has({count})) return false;
+  to->preload = array.numbers();  // the margin keeps its array alive
+  return true;
+}
 
 const grasp::ForceOptimizer& optimizer_of(nb::handle optimizer) {
   return nb::cast<const ForceOptimizer&>(optimizer);

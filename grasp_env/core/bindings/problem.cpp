@@ -27,8 +27,8 @@ StepRule rule_of(nb::handle numbers) {
   return {int(p[0]), p[1], p[2], p[3], p[4]};
 }
 
-void make_problem(OwnProblem* self, const Contacts& contacts, nb::handle weights,
-                  nb::handle limits) {
+void make_problem(OwnProblem* self, const Contacts& contacts, nb::handle weights, nb::handle limits,
+                  nb::handle margin) {
   OwnProblem problem{contacts};
   if (weights.is_none()) {
     problem.contacts.set_weights(Objective{});
@@ -46,6 +46,13 @@ void make_problem(OwnProblem* self, const Contacts& contacts, nb::handle weights
     problem.torque_limit = copied(arrays[3], -1);
     problem.jacobian = copied(arrays[2], contacts.count, -1, problem.torque_limit.size());
     problem.torque_bias = copied(arrays[4], problem.torque_limit.size());
+  }
+  std::optional<Margin> kept;
+  if (!read_margin(margin.ptr(), contacts.count, kept))
+    throw nb::type_error("expected a margin with friction and preload");
+  if (kept) {
+    problem.friction_margin = kept->friction;
+    for (int i = 0; i < contacts.count; ++i) problem.preload.push_back(kept->preload[i]);
   }
   new (self) OwnProblem(std::move(problem));
 }
@@ -98,10 +105,11 @@ void bind_problem(nb::module_& m) {
       m, "Problem",
       "`grasp::Problem`: contacts with the weights of Phi, and limits besides friction.")
       .def("__init__", &make_problem, "contacts"_a, "weights"_a.none() = nb::none(),
-           "limits"_a.none() = nb::none(),
+           "limits"_a.none() = nb::none(), "margin"_a.none() = nb::none(),
            "weights: omega and lambda of all contacts, or an array (N, 2); None: 1 and 0.01.\n"
            "limits: (min_normal, max_normal, jacobian, torque_limit, torque_bias), each an array "
-           "or None.");
+           "or None.\n"
+           "margin: None, a float, or an object with `friction` and `preload`.");
   nb::class_<Options>(m, "Options", "`grasp::Options`.")
       .def("__init__", &make_options, nb::kw_only(), "method"_a = "newton", "largest"_a = false,
            "start"_a = 0, "tolerance"_a = 0.0, "limit"_a = 20000, "elastic"_a = false,

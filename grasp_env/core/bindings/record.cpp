@@ -21,6 +21,7 @@ nb::typed<nb::dict, nb::str, int> record_fields() {
   place("margin", offsetof(Summary, margin));
   place("limit_excess", offsetof(Summary, limit_excess));
   place("wrench", offsetof(Summary, wrench));
+  place("wrench_with_preload", offsetof(Summary, wrench_with_preload));
   place("multipliers", offsetof(Summary, multipliers));
   place("start", offsetof(Summary, start));
   place("replaced", offsetof(Summary, replaced));

@@ -37,7 +37,7 @@ bool is_record(PyObject* object) {
     return false;
   if (PyArray_DIM(a, 0) < SUMMARY) return false;
   const auto& s = *data_of<const grasp::Summary>(object);
-  const double size = SUMMARY + 16.0 * s.contacts + s.joints + s.limits;
+  const double size = SUMMARY + 17.0 * s.contacts + s.joints + s.limits;
   for (double whole : {s.contacts, s.joints, s.limits, s.iterations, s.trials, s.start, s.code})
     if (!(whole >= 0.0 && whole < 1e18)) return false;
   for (double whole : {s.contacts, s.joints, s.limits, s.start, s.code})
@@ -115,14 +115,18 @@ PyObject* frames(PyObject* self, void*) {
   const npy_intp shape[] = {count(self), 3, 3};
   return view(self, SUMMARY + 7 * count(self), 3, shape);
 }
+PyObject* friction_used(PyObject* self, void*) {
+  const npy_intp many = count(self);
+  return view(self, SUMMARY + 16 * many, 1, &many);
+}
 PyObject* torques(PyObject* self, void*) {
   const npy_intp many = npy_intp(record(self).summary().joints);
-  return view(self, SUMMARY + 16 * count(self), 1, &many);
+  return view(self, SUMMARY + 17 * count(self), 1, &many);
 }
 PyObject* limit_multipliers(PyObject* self, void*) {
   const grasp::Summary& s = record(self).summary();
   const npy_intp many = int(s.code) == grasp::LIMITS_EXCEEDED ? 0 : npy_intp(s.limits);
-  return view(self, SUMMARY + 16 * count(self) + npy_intp(s.joints), 1, &many);
+  return view(self, SUMMARY + 17 * count(self) + npy_intp(s.joints), 1, &many);
 }
 PyObject* object_force(PyObject* self, void*) {
   const npy_intp shape[] = {count(self), 3};
@@ -155,6 +159,8 @@ constexpr PyGetSetDef property(const char* name, getter get, const char* doc) {
 PyGetSetDef read[] = {
     property("wrench", six<&Summary::wrench>,
              "(6,) external wrench that `force` balances [N, N m]."),
+    property("wrench_with_preload", six<&Summary::wrench_with_preload>,
+             "(6,) `wrench` plus what the preloads make, w + G s n [N, N m]."),
     property("multipliers", six<&Summary::multipliers>,
              "(6,) nu of balance: grad objective = G^T nu (+ multipliers of the limits), d "
              "objective / d wrench = -nu."),
@@ -170,8 +176,8 @@ PyGetSetDef read[] = {
              "Largest |component| of G f + w [N], moments about the contacts' centre over the "
              "grasp's length."),
     property("cone_margin", number<&Summary::margin>,
-             "Smallest mu * normal - |tangential| of the contacts [N], in cone coordinates; > 0: "
-             "strictly inside."),
+             "Smallest mu * normal - |tangential| of the contacts [N], in cone coordinates and "
+             "within the problem's margin; > 0: strictly inside."),
     property("limit_excess", number<&Summary::limit_excess>,
              "Largest excess of a limit, as a fraction of it; 0: all are kept. See `elastic` of "
              "`optimize_force`."),
@@ -184,6 +190,8 @@ PyGetSetDef read[] = {
              "(N, 3, 3) columns (n, o, t) of each contact, in the frame of the positions."),
     property("object_force", object_force,
              "(N, 3) N: `force` along the axes of the frame of the positions."),
+    property("friction_used", friction_used,
+             "(N,) share of the given friction that each force uses, torsion included."),
     property("torques", torques,
              "(J,) [N m] torques of the joints with torque limits, bias included; empty without "
              "such limits."),

@@ -35,8 +35,11 @@ constexpr Numbers HandState::* PARTS[] = {
 
 struct HandControllerSettings {
   double friction = 0.8, rate = 1000.0;  // coefficient; [Hz] of `update`
-  int iterations = 40;                   // largest number of solver steps in an update
-  double budget = 1e-4;                  // [s] longer updates are counted
+  // share of the friction that forces may use, and normal force that does not count for it [N]:
+  // they cover errors of friction and wrench
+  double friction_margin = 0.75, preload = 0.5;
+  int iterations = 40;   // largest number of solver steps in an update
+  double budget = 1e-4;  // [s] longer updates are counted
   double damping = 0.01,
          stiffness = 0.1;  // [N m s/rad]; [N m/rad] towards the first posture, for free joints
   double push = 0.1;       // [N] force of a finger without contact, along its last normal
@@ -103,7 +106,8 @@ class HandController {
     }
     solver_.emplace(
         grasp::Problem{grasp::Contacts::from(ring, inward, s_.friction),
-                       {{}, {}, jacobian_, limits_, {}}},
+                       {{}, {}, jacobian_, limits_, {}},
+                       {s_.friction_margin, s_.preload}},
         grasp::Options{.start = grasp::Start::previous, .limit = s_.iterations, .elastic = true});
   }
   // torques rise from zero; invalid numbers leave it inactive

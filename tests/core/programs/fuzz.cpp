@@ -49,6 +49,8 @@ struct Case {
   std::vector<double> positions, normals, friction, along, gamma, least, most, jacobian, torque,
       bias;
   Objective objective;
+  double share = 1.0;           // of the friction, for the margin
+  std::vector<double> preload;  // (N,) [N]
   std::uint64_t contacts = ~std::uint64_t(0);
 
   bool touches(int i) const { return contacts >> i & 1; }
@@ -75,6 +77,7 @@ struct Case {
     return {centre, spread};
   }
   ForceLimits limits() const { return {least, most, jacobian, torque, bias}; }
+  Margin margin() const { return {share, preload}; }
 };
 
 const char* call = "";  // the call under test
@@ -105,6 +108,7 @@ void check(const Case& g, const double* wrench, const Options& options, const Re
   require(s.code >= double(CONVERGED) && s.code <= double(STARTED), "no code", record, s.code);
   require(record.contacts() == n && int(s.joints) == g.joints, "sizes", record, s.contacts);
   const double* end = record.limit_multipliers() + int(s.limits);
+  const double* used = record.friction_used();
   if (!record.has_force() && code != STARTED) {
     for (const double* v = record.force();
          v < (code == INFEASIBLE ? record.limit_multipliers() : end);
@@ -113,7 +117,7 @@ void check(const Case& g, const double* wrench, const Options& options, const Re
     return;
   }
   for (const double* v = record.force(); v < end; ++v)
-    require(std::abs(*v) < infinity, "no number", record, *v);
+    require(std::abs(*v) < infinity || (v >= used && v < used + n), "no number", record, *v);
   for (const double* v = record.limit_multipliers(); v < end; ++v)
     require(*v >= 0.0, "a negative multiplier", record, *v);
 
@@ -130,6 +134,7 @@ void check(const Case& g, const double* wrench, const Options& options, const Re
     if (!g.touches(i)) {
       require(f[0] == 0.0 && f[1] == 0.0 && f[2] == 0.0 && turn == 0.0,
               "a force of a finger in the air", record, i);
+      require(std::isnan(used[i]), "a finger in the air uses friction", record, used[i]);
       continue;
     }
     double v[3];
@@ -148,9 +153,12 @@ void check(const Case& g, const double* wrench, const Options& options, const Re
     const double side = slips ? 0.0 : std::hypot(f[1] / g.mu(i, 0), f[2] / g.mu(i, 1));
     const double gamma = g.torsion(i);
     require(gamma > 0.0 || turn == 0.0, "torsion of a hard contact", record, turn);
-    const double room = f[0] - std::max(side, gamma > 0.0 ? std::abs(turn) / gamma : 0.0);
+    const double needed = std::max(side, gamma > 0.0 ? std::abs(turn) / gamma : 0.0);
+    const double room = f[0] - g.preload[i] - needed / g.share;
     require(room >= (inner ? -1e-14 * f[0] : -INSIDE * std::max(f[0], most)), "outside a cone",
             record, room);
+    require(f[0] <= 0.0 || std::abs(used[i] - needed / f[0]) <= 1e-9 * used[i], "friction used",
+            record, used[i]);
   }
   const double missed = length(force) + length(moment) / spread;
   require(spread >= 1e6 || missed <= BALANCED * size, "not balanced", record,
@@ -184,6 +192,15 @@ std::vector<double> jacobian_of(Bytes& from, const Case& g) {
   return jacobian;
 }
 
+// Preloads stay below the smallest limit of normal forces.
+void margin_of(Bytes& from, Case& g) {
+  g.share = from.one_in(2) ? 1.0 : 0.1 + 0.9 * from.fraction();
+  const bool some = from.one_in(2);
+  const double most = g.most.empty() ? 10.0 : 0.1;
+  for (double& preload : g.preload)
+    preload = some && from.one_in(2) ? most * from.fraction() * from.fraction() : 0.0;
+}
+
 Case contacts_of(Bytes& from) {
   Case g;
   g.count = from.whole(2, from.one_in(4) ? 18 : 6);
@@ -206,6 +223,7 @@ Case contacts_of(Bytes& from) {
       g.gamma.push_back(from.one_in(2) ? 0.0 : from.decades(1e-3, 0.1));
   if (from.one_in(4)) g.along = from.numbers(3 * g.count, 1.0);
   if (from.one_in(4)) g.objective = {from.decades(1e-4, 1e4), from.decades(1e-16, 1e6)};
+  g.preload.resize(g.count);
   return g;
 }
 void limit(Bytes& from, Case& g) {
@@ -274,6 +292,10 @@ Changes moved(Bytes& from, Case& g, bool some, std::vector<double>& friction) {
     g.bias = from.numbers(g.joints, 0.05);
     now.torque_bias = g.bias;
   }
+  if (from.one_in(4)) {
+    margin_of(from, g);
+    now.margin = g.margin();
+  }
   if (some && from.one_in(3)) {
     g.contacts = 0;
     for (int i = 0; i < g.count; ++i) g.contacts |= std::uint64_t(!from.one_in(4)) << i;
@@ -287,7 +309,8 @@ void run_calls(Bytes& from) {
   const Options options = options_of(from, home);
   const Contacts contacts = Contacts::from(home.positions, home.normals, home.friction,
                                            home.objective, home.along, home.gamma);
-  ForceOptimizer on({contacts, home.limits()}, options);
+  if (from.one_in(2)) margin_of(from, home);
+  ForceOptimizer on({contacts, home.limits(), home.margin()}, options);
   std::vector<double> row(on.size());
   std::vector<double> other(on.size());
   std::vector<double> friction;

@@ -260,7 +260,8 @@ class SimulatedHand(Window):
         grip = zoom * (snapshot.position + snapshot.rotation @ self.grip)
         self._pull.visible = bool(pull.any())
         self._pull.points = np.array([[grip, grip + _FORCE * pull]])
-        margins = loop.friction * forces[:, 0] - np.hypot(forces[:, 1], forces[:, 2])
+        normals = forces[:, 0] - loop.margin.preload
+        margins = loop.friction * normals - np.hypot(forces[:, 1], forces[:, 2])
         columns = {
             "commanded, N": forces[:, 0],
             "measured, N": self._measured[:, 0],

@@ -115,6 +115,7 @@ class ForceOptimizer {
   void forget() { has_previous_ = false; }
 
   const Contacts& contacts() const { return engine_->home(); }
+  Margin margin() const { return engine_->margin(); }  // valid until the next update
   int size() const { return engine_->size(); }
 
  private:

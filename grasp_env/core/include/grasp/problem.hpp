@@ -1,6 +1,7 @@
 // The inputs of `ForceOptimizer`: a problem, options, and the data of one call.
 #pragma once
 #include <memory>
+#include <optional>
 #include <grasp/conic/criterion.hpp>
 #include <grasp/flow/step_rule.hpp>
 #include <grasp/learned/learned.hpp>
@@ -20,12 +21,13 @@ enum class Method {
           // cones; lambda has no effect
 };
 
-// Contacts with the weights of Phi, and limits besides friction. Positions, normals, wrenches and
-// the Jacobian share ONE frame of the caller's choice.
+// Contacts with the weights of Phi, limits besides friction, and the margin that forces keep.
+// Positions, normals, wrenches and the Jacobian share ONE frame of the caller's choice.
 struct Problem {
   Contacts contacts;
   // jacobian: (N, 3, J), or (N, 6, J) with the angular velocities of the fingertips
   ForceLimits limits{};
+  Margin margin{};
 };
 
 struct Options {
@@ -54,10 +56,11 @@ struct Changes {
   Doubles torque_bias{};  // (J,) tau_0 [N m]: torques that the motors supply in addition to J^T f
   // bit i: contact i touches; for solvers of up to 64 contacts
   std::uint64_t contacts = ~std::uint64_t(0);
+  std::optional<Margin> margin{};
 
   bool empty() const {
     return positions.empty() && normals.empty() && friction.empty() && jacobian.empty() &&
-           torque_bias.empty() && contacts == ~std::uint64_t(0);
+           torque_bias.empty() && !margin && contacts == ~std::uint64_t(0);
   }
 };
 

@@ -50,13 +50,15 @@ struct Summary {
   double objective = 0;
   double lower_bound = 0;  // no balanced force has a smaller objective; -inf: none; inf: INFEASIBLE
   double residual = 0;     // largest |component| of G f + w in the unit frame [N]
-  double margin = 0;       // smallest margin u - |(o, t)| of a contact in cone coordinates [N]
+  // smallest u - |(o, t)| of a contact in cone coordinates [N], within the problem's margin
+  double margin = 0;
   // largest excess over a limit, as a fraction of that limit; 0 within all limits
   double limit_excess = 0;
-  Vec6 wrench{};        // balanced wrench [N, N m]
-  Vec6 multipliers{};   // nu of balance: grad objective = G^T nu (+ the cones' multipliers);
-                        // INFEASIBLE: the twist
-  double start = 0;     // the `Start` that was used
+  Vec6 wrench{};               // balanced wrench [N, N m]
+  Vec6 wrench_with_preload{};  // w + G s n, with the preloads s; a proof holds against it
+  Vec6 multipliers{};          // nu of balance: grad objective = G^T nu (+ the cones' multipliers);
+                               // INFEASIBLE: the twist
+  double start = 0;            // the `Start` that was used
   double replaced = 0;  // 1: the requested start could not be used, and `start` took its place
   double outside = 0;   // 1: the wrench lies outside the range of the model's training
   double contacts = 0, joints = 0, limits = 0;  // sizes of the following data: N, J, M
@@ -64,11 +66,11 @@ struct Summary {
 inline constexpr int SUMMARY = sizeof(Summary) / sizeof(double);
 
 // A row: the summary, then force (N, 3), initial force (N, 3) [N], torsion (N,) [N m]. A row of
-// `ForceOptimizer` continues with frames (N, 3, 3), joint torques (J,) [N m] and multipliers of
-// limits (M,).
+// `ForceOptimizer` continues with frames (N, 3, 3), shares of friction (N,), joint torques (J,) [N
+// m] and multipliers of limits (M,).
 constexpr int record_size(int contacts) { return SUMMARY + 7 * contacts; }
 constexpr int record_size(int contacts, int joints, int limits) {
-  return SUMMARY + 16 * contacts + joints + limits;
+  return SUMMARY + 17 * contacts + joints + limits;
 }
 
 class Record {
@@ -98,11 +100,15 @@ class Record {
   double* frames() const {
     return force() + 7 * count_;
   }  // (N, 3, 3) columns (n, o, t), the frame of the positions
+  // (N,) share of the given friction that each force uses, torsion included; inf: tangential force
+  // without a normal one; NaN: the contact does not touch
+  double* friction_used() const { return force() + 16 * count_; }
   double* torques() const {
-    return force() + 16 * count_;
+    return force() + 17 * count_;
   }  // (J,) [N m], including the torque bias
   // Multipliers of the limits A f <= b, (M,) >= 0. INFEASIBLE: with the twist v they are the proof:
-  // G^T v + A^T limit_multipliers lies in every dual cone, and v . w > limit_multipliers . b.
+  // G^T v + A^T limit_multipliers lies in every dual cone, and v . w > limit_multipliers . b. With
+  // preloads s, w is `wrench_with_preload` and b is b - A s n.
   double* limit_multipliers() const { return torques() + int(summary().joints); }
   void clear() const { std::fill(row_, row_ + record_size(count_), 0.0); }
   // Record INFEASIBLE: no force, and the twist that proves it in place of the multipliers. missed:

@@ -164,6 +164,15 @@ class Contacts {
     update_divisors();
   }
 
+  // Multiply friction and torsional friction by a share, from the next `place` on.
+  void narrow(double share) {
+    for (int k = 0; k < count; ++k) {
+      if (scale[3 * k + 1] > 0.0) scale[3 * k] *= share;
+      torsion[k] *= share;
+    }
+    update_divisors();
+  }
+
   // Set the weights of Phi: (N, 2) omega and lambda, or the same for all contacts.
   void set_weights(const double* weights) {
     for (int i = 0; i < count; ++i) {

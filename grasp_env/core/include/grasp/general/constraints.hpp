@@ -24,6 +24,8 @@ struct ProgramData {
   const double* shares;  // (M,) [N] growth of a bound if its limit grows by all of itself; 0: never
   bool elastic;          // the least excess may be requested
   WrenchSpace reach{};   // the wrenches that the contacts can make
+  // (N,) [N] normal force in addition to z, which `Criterion::largest` counts; null: none
+  const double* preload = nullptr;
 };
 
 namespace detail {
@@ -50,8 +52,8 @@ template <int D> struct Constraints {
   };
   int count, limits, torsions = 0;  // N, M; the first rows belong to torsion
   ArenaVector<char> soft;
-  // normal force of a unit of u; the same, weighted
-  ArenaVector<double> price, cost, divisor, bound, shares;
+  // normal force of a unit of u; the same, weighted; weighted preload
+  ArenaVector<double> price, cost, offset, divisor, bound, shares;
   ArenaVector<int> torsion_row;  // (N,) -1: not soft
   // (M,) the one contact that a row acts on; N: none, SEVERAL: more than one
   ArenaVector<int> owner;
@@ -66,6 +68,7 @@ template <int D> struct Constraints {
         soft(count),
         price(count),
         cost(count),
+        offset(count),
         divisor(data.divisor, data.divisor + 4 * count),
         bound(data.bound, data.bound + limits),
         shares(data.shares, data.shares + limits),
@@ -81,6 +84,7 @@ template <int D> struct Constraints {
       soft[i] = divisor[4 * i + 3] < infinity;
       price[i] = 1.0 / divisor[4 * i];
       cost[i] = data.weights[2 * i] * price[i];
+      offset[i] = data.preload ? data.weights[2 * i] * data.preload[i] : 0.0;
       if (soft[i]) torsion_row[i] = torsions++;
     }
     const auto copy = [&](const double* from, int many, Matrix& to) {
@@ -93,7 +97,7 @@ template <int D> struct Constraints {
     orthonormalise();
   }
   static std::size_t bytes_needed(int count, int limits) {
-    return Arena::bytes_needed<char>(count) + 2 * Arena::bytes_needed<double>(count) +
+    return Arena::bytes_needed<char>(count) + 3 * Arena::bytes_needed<double>(count) +
            Arena::bytes_needed<double>(4 * count) + 2 * Arena::bytes_needed<double>(limits) +
            Arena::bytes_needed<int>(count) + 2 * Arena::bytes_needed<int>(limits) +
            2 * Arena::bytes_needed<Tuple<double, D>>(6 * count) +
@@ -112,6 +116,7 @@ template <int D> struct Constraints {
       for (int i = 0; i < count; ++i) engine.cost[i][0] = cost[i];
     return engine;
   }
+  double largest_offset() const { return *std::max_element(offset.begin(), offset.end()); }
   // The direction into a cone.
   static Tuple<double, D> inwards() {
     Tuple<double, D> out{};

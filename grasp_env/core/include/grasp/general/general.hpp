@@ -27,10 +27,12 @@ class General {
   // Take over the placed contacts and their weights; keeps no argument. torsion_divisor: (N,) v =
   // divisor * torsion [1 / m], abs(v) <= normal force in cone coordinates; inf or 0: not soft.
   // limits: their Jacobian is (N, width, J), width = 3, or 4 with the row of torsion. internal: (N,
-  // 3) an internal force strictly inside the cones; null: `least_normal` finds one. rank_lost:
-  // rounding hides which wrenches the contacts can make.
+  // 3) an internal force strictly inside the cones; null: `least_normal` finds one. preload: forces
+  // and wrenches below are those of the shifted problem. rank_lost: rounding hides which wrenches
+  // they make.
   Placing place(const Contacts& contacts, const double* torsion_divisor = nullptr,
-                const ForceLimits& limits = {}, int width = 3, const double* internal = nullptr) {
+                const ForceLimits& limits = {}, int width = 3, const double* internal = nullptr,
+                const Preload& preload = {}) {
     forget();
     const int count = contacts.count;
     const int rows = limits.many();
@@ -41,14 +43,15 @@ class General {
     arena_.reserve(bytes_needed(count, rows, several, torsions > 0));
     const Arena::Use use(arena_);
     Inputs& inputs = inputs_.emplace(count, torsions + rows, torsions);
-    const bool is_in_range = inputs.set(contacts, torsion_divisor) && inputs.set(limits, width);
+    const bool is_in_range =
+        inputs.set(contacts, torsion_divisor) && inputs.set(limits, width, preload);
     if (is_in_range) {
       double frame[36];
       contacts.unit.write(frame);
       program_.emplace(ProgramData{count, inputs.limits, frame, inputs.balance.data(),
                                    inputs.rows.data(), inputs.bound.data(), inputs.weights.data(),
                                    inputs.divisor.data(), inputs.shares.data(), true,
-                                   contacts.reach});
+                                   contacts.reach, inputs.preload.data()});
       if (internal) {
         inputs.load(internal, nullptr);
         program_->set_internal_force(inputs.z.data());
@@ -217,7 +220,7 @@ class General {
   // Contacts and limits in the form of `ProgramData`.
   struct Inputs {
     int count, limits, torsions;
-    ArenaVector<double> balance, rows, bound, shares, divisor;
+    ArenaVector<double> balance, rows, bound, shares, divisor, preload;
     ArenaVector<double> sizes, weights, row_weights;  // (M,) divisors of the rows; weights of Phi
     ArenaVector<double> z, row, record, multipliers, kept_multipliers;
 
@@ -230,6 +233,7 @@ class General {
           bound(limits),
           shares(limits),
           divisor(4 * count),
+          preload(count),
           sizes(limits),
           weights(2 * count),
           row_weights(limits),
@@ -242,7 +246,7 @@ class General {
       return Arena::bytes_needed<double>(24 * count) +
              Arena::bytes_needed<double>(4 * std::size_t(count) * limits) +
              6 * Arena::bytes_needed<double>(limits) + 3 * Arena::bytes_needed<double>(4 * count) +
-             Arena::bytes_needed<double>(2 * count) +
+             Arena::bytes_needed<double>(count) + Arena::bytes_needed<double>(2 * count) +
              Arena::bytes_needed<double>(record_size(count));
     }
     bool set(const Contacts& contacts, const double* torsion_divisor) {
@@ -273,39 +277,40 @@ class General {
       }
       return total < infinity;
     }
-    bool set(const ForceLimits& hand, int width) {
+    bool set(const ForceLimits& hand, int width, const Preload& shift) {
       int k = torsions;
       bool good = true;
-      hand.rows(count, width, std::span(row).first(width * count),
-                [&](std::span<const double> from, double b, double limit) {
-                  double* to = &rows[4 * count * k];
-                  double square = 0.0, lambda = 0.0, all = 0.0;
-                  int touched = 0;
-                  for (int i = 0; i < count; ++i, to += 4) {
-                    for (int a = 0; a < 3; ++a) to[a] = from[width * i + a] / divisor[4 * i + a];
-                    if (width == 4) add_torsion(to, from[4 * i + 3] / divisor[4 * i + 3]);
-                    const double part =
-                        to[0] * to[0] + to[1] * to[1] + to[2] * to[2] + to[3] * to[3];
-                    const double weight = weights[2 * i + 1];
-                    square += part;
-                    all += weight;
-                    if (part > 0.0) {
-                      lambda += weight;
-                      ++touched;
-                    }
-                  }
-                  // zero: no force changes this torque
-                  const double size = sizes[k] = square == 0.0 ? 1.0 : std::sqrt(square);
-                  const double per = 1.0 / size;
-                  for (to = &rows[4 * count * k]; to < &rows[0] + 4 * count * (k + 1); ++to)
-                    *to *= per;
-                  bound[k] = b / size;
-                  shares[k] = limit / size;
-                  row_weights[k] = touched ? lambda / touched : all / count;
-                  good = good && size < infinity && std::abs(bound[k]) <= MOST_FORCE &&
-                         std::abs(shares[k]) <= MOST_FORCE;
-                  ++k;
-                });
+      if (shift.any) std::copy_n(shift.each.begin(), count, preload.begin());
+      hand.rows(
+          count, width, std::span(row).first(width * count),
+          [&](std::span<const double> from, double b, double limit) {
+            double* to = &rows[4 * count * k];
+            double square = 0.0, lambda = 0.0, all = 0.0;
+            int touched = 0;
+            for (int i = 0; i < count; ++i, to += 4) {
+              for (int a = 0; a < 3; ++a) to[a] = from[width * i + a] / divisor[4 * i + a];
+              if (width == 4) add_torsion(to, from[4 * i + 3] / divisor[4 * i + 3]);
+              const double part = to[0] * to[0] + to[1] * to[1] + to[2] * to[2] + to[3] * to[3];
+              const double weight = weights[2 * i + 1];
+              square += part;
+              all += weight;
+              if (part > 0.0) {
+                lambda += weight;
+                ++touched;
+              }
+            }
+            // zero: no force changes this torque
+            const double size = sizes[k] = square == 0.0 ? 1.0 : std::sqrt(square);
+            const double per = 1.0 / size;
+            for (to = &rows[4 * count * k]; to < &rows[0] + 4 * count * (k + 1); ++to) *to *= per;
+            bound[k] = b / size;
+            shares[k] = limit / size;
+            row_weights[k] = touched ? lambda / touched : all / count;
+            good = good && size < infinity && std::abs(bound[k]) <= MOST_FORCE &&
+                   std::abs(shares[k]) <= MOST_FORCE;
+            ++k;
+          },
+          shift);
       return good;
     }
     // (u, o, t, w) from forces and torsions (null: zero), and back

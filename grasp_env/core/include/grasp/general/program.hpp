@@ -32,6 +32,7 @@ template <int D> Code ProgramOn<D>::least(const double* wrench, Criterion criter
   for (int k = 0; k < limits; ++k) most = std::max(most, -in_.bound[k]);
   if (size_ < NOTHING && !(most > 0.0)) {  // zero force is the answer
     out.code = CONVERGED;
+    if (criterion == Criterion::largest) out.objective = out.lower_bound = in_.largest_offset();
     return CONVERGED;
   }
   size_ = std::max(size_, most);

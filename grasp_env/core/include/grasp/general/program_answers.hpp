@@ -30,7 +30,7 @@ inline double ProgramOn<D>::consider(const Interior<R, T>& engine) {
   certify(engine);
   double force = 0.0;
   for (int i = 0; i < count; ++i) {
-    const double normal = price(i) * z_[i][0];
+    const double normal = price(i) * z_[i][0] + offset(i);
     force = T == 1 ? std::max(force, normal) : force + normal;
   }
   const double value = elastic() ? excess(z_) : force;
@@ -58,6 +58,7 @@ inline void ProgramOn<D>::certify(const Interior<R, T>& engine) {
   for (int r = rows.equal; r < rows.joint; ++r)
     multipliers_[rows.label[r]] = std::max(double(at.joint[r]), 0.0);
   double theta = 1.0, paid = 0.0;
+  double offset_at_end = 0.0, offset_at_safe = 0.0;  // of `Criterion::largest`
   if (elastic()) {
     double price = 0.0;
     for (int k = in_.torsions; k < limits; ++k) price += multipliers_[k] * in_.shares[k];
@@ -67,8 +68,12 @@ inline void ProgramOn<D>::certify(const Interior<R, T>& engine) {
     Tuple<double, D> safe{}, end{};
     safe[0] = engine_price<T>(i);
     end[0] = elastic() ? 0.0 : price(i);
-    if (T == 1 && !elastic())
-      end[0] *= std::max(double(at.own[rows.first[i + 1] - 1]), 0.0) / shares;
+    if (T == 1 && !elastic()) {
+      const double share = std::max(double(at.own[rows.first[i + 1] - 1]), 0.0) / shares;
+      end[0] *= share;
+      offset_at_end += share * offset(i);
+      offset_at_safe += offset(i) / count;
+    }
     for (int r = 0; r < 6; ++r) add(end, double(at.joint[r]), in_.turn[r][i]);
     for (int r = rows.equal; r < rows.joint; ++r)
       add(end, multipliers_[rows.label[r]], in_.limit[rows.label[r]][i]);
@@ -98,7 +103,7 @@ inline void ProgramOn<D>::certify(const Interior<R, T>& engine) {
     value += y[r] * turned_[r];
   }
   for (int k = 0; k < limits; ++k) value -= multipliers_[k] * in_.bound[k] / size_;
-  value = theta * (value - paid);
+  value = theta * (value - paid + offset_at_end) + (1.0 - theta) * offset_at_safe;
   if (value > best_bound_ && value < infinity) {
     best_bound_ = value;
     best_nu_ = -theta * y;

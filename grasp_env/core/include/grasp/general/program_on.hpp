@@ -124,6 +124,10 @@ template <int D> class ProgramOn {
   bool elastic() const { return criterion_ == Criterion::excess; }
   // The normal force of a unit of u; weighted, unless excesses are minimised.
   double price(int i) const { return elastic() ? in_.price[i] : in_.cost[i]; }
+  // Weighted preload of a contact, in the objective's unit, for `Criterion::largest`.
+  double offset(int i) const {
+    return criterion_ == Criterion::largest ? in_.offset[i] / size_ : 0.0;
+  }
   int kept() const { return elastic() ? in_.torsions : limits; }  // limits that no force may exceed
 
   template <int T> Code solve(const double* wrench, const StopRule& options, Summary& out) {
@@ -226,8 +230,12 @@ template <int D> class ProgramOn {
     auto& joint = engine.rows.right;
     for (int r = 0; r < engine.rows.joint; ++r)
       joint[r] = r < 6 ? -turned_[r] : in_.bound[engine.rows.label[r]] / size_;
-    for (auto& row : engine.rows.own)
-      row.right = row.label >= 0 ? in_.bound[row.label] / size_ : 0.0;
+    for (auto& row : engine.rows.own) {
+      if (row.label >= 0)
+        row.right = in_.bound[row.label] / size_;
+      else
+        row.right = row.contact < count ? -offset(row.contact) : 0.0;
+    }
   }
   // Largest relative excess of a limit at z.
   double excess(const Field& z) const {

@@ -53,16 +53,18 @@ inline bool ProgramOn<D>::place(Interior<R, T>& engine, double least) {
   auto& at = engine.at;
   const auto& rows = engine.rows;
   R largest = 0.0, product = 0.0, normal = 0.0;
+  double offset = 0.0;
   for (int i = 0; i < count; ++i) {
     largest = max(largest, at.z[i][0]);
     normal = max(normal, price(i) * at.z[i][0]);
+    offset = std::max(offset, this->offset(i));
     at.s[i] = engine.cost[i];
     if constexpr (T == 1) at.s[i][0] = price(i) / count;
     product += at.z[i][0] * at.s[i][0] / count;
     if (D == 4) at.s[i][D - 1] = in_.soft[i] ? 0.25 * at.s[i][0] : R(1.0);
   }
   if constexpr (T == 1) {
-    at.t = {2.0 * normal};
+    at.t = {2.0 * normal + offset};
     if (elastic()) {
       for (int i = 0; i < count; ++i) z_[i] = narrow(at.z[i]);
       raise(engine, z_);

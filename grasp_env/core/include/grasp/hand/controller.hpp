@@ -50,10 +50,11 @@ class Controller {
         solution(method.size()),
         method_(method),
         motors_(*tree),
-        follow_({method.contacts()}, settings.follow),
+        follow_({method.contacts(), {}, method.margin()}, settings.follow),
         within_(within(method.contacts())),
-        least_sum_({with_weight_one(method.contacts())},
+        least_sum_({with_weight_one(method.contacts()), {}, method.margin()},
                    {.method = Method::conic, .tolerance = 1e-4}),
+        within_margin_(within_margin(method)),
         elastic_(tree->fingers()),
         follow_row_(follow_.size()),
         within_row_(within_.size()),
@@ -262,6 +263,7 @@ class Controller {
   // Newton from the last command on the cones; within the motors' limits
   ForceOptimizer follow_, within_;
   ForceOptimizer least_sum_;  // finds the least sum of normal forces, for `costs`
+  Contacts within_margin_;    // the method's contacts with the share of friction of its margin
   ElasticBalance elastic_;
   // solution rows of these solvers, and the last command as such a row
   std::vector<double> follow_row_, within_row_, least_sum_row_, last_row_;
@@ -285,6 +287,11 @@ class Controller {
   Cholesky gram_;
   bool is_redundant_;
 
+  static Contacts within_margin(const ForceOptimizer& method) {
+    Contacts contacts = method.contacts();
+    contacts.narrow(method.margin().friction);
+    return contacts;
+  }
   // The least sum counts newtons.
   static Contacts with_weight_one(Contacts contacts) {
     contacts.set_weights(Objective{});
@@ -294,10 +301,11 @@ class Controller {
     jacobian_.resize((contacts.soft() ? 6 : 3) * contacts.count * motors_.limit.size());
     const auto limited = [](double limit) { return limit < infinity; };
     const bool elastic = std::any_of(motors_.limit.begin(), motors_.limit.end(), limited);
-    return ForceOptimizer({contacts, {.jacobian = jacobian_, .torque_limit = motors_.limit}},
-                          {.tolerance = settings.follow.tolerance,
-                           .limit = settings.follow.limit,
-                           .elastic = elastic});
+    return ForceOptimizer(
+        {contacts, {.jacobian = jacobian_, .torque_limit = motors_.limit}, method_.margin()},
+        {.tolerance = settings.follow.tolerance,
+         .limit = settings.follow.limit,
+         .elastic = elastic});
   }
   // True if a finger has more than three joints, or a joint moves no tip.
   static bool is_redundant(const Tree& tree) {
@@ -459,7 +467,7 @@ class Controller {
   void balance_elastically() {
     closure = near_limits_ = false;
     touching([&](int i) { std::copy_n(&last_force_[3 * i], 3, &force[3 * i]); });
-    elastic_.solve(method_.contacts(), mask, &seen().points[0].u, frames.data(), wrench,
+    elastic_.solve(within_margin_, mask, &seen().points[0].u, frames.data(), wrench,
                    settings.follow.limit, force.data());
     effort.followed += elastic_.iterations;
   }
@@ -476,9 +484,11 @@ class Controller {
     const Record row(last_row_.data());
     touching([&](int i) {
       double* f = row.force() + 3 * i;
-      const double* scale = &method_.contacts().scale[3 * i];
+      const double* scale = &within_margin_.scale[3 * i];
+      const double preload = method_.margin().preload[i];
       const double side = std::hypot(scale[1] * f[1], scale[2] * f[2]);
-      if (!(scale[0] * f[0] > side)) f[0] = std::max(1.05 * side, LIGHT) / scale[0];
+      if (!(scale[0] * (f[0] - preload) > side))
+        f[0] = preload + std::max(1.05 * side, LIGHT) / scale[0];
     });
   }
   // Keep the command for the next tick.

@@ -2,6 +2,7 @@
 // as rows a . f <= b, and as rows of length one on one contact's force for `LimitTerms`.
 #pragma once
 #include <span>
+#include <grasp/contacts/margin.hpp>
 #include <grasp/limits/terms.hpp>
 
 namespace grasp {
@@ -27,14 +28,18 @@ struct ForceLimits {
   }
   // Call f(row, b, limit) for smallest normal forces above 0, largest ones, then the upper and the
   // lower torque of each joint. row: (N, width) work space; width = 3, or 4 if the Jacobian has a
-  // row for the torsion.
-  template <class F> void rows(int count, int width, std::span<double> row, F&& f) const {
+  // row for the torsion. With a preload, the rows limit the forces in addition to it.
+  template <class F>
+  void rows(int count, int width, std::span<double> row, F&& f, const Preload& preload = {}) const {
+    const auto limit_row = [&](double bound, double limit) {
+      f(row, bound - preload.cost(count, [&](int i) { return row[width * i]; }), limit);
+    };
     const auto normal = [&](std::span<const double> limits, double sign) {
       for (int i = 0; i < int(limits.size()); ++i) {
         if (!limits_normal(limits[i])) continue;
         std::fill(row.begin(), row.end(), 0.0);
         row[width * i] = sign;
-        f(row, sign * limits[i], limits[i]);
+        limit_row(sign * limits[i], limits[i]);
       }
     };
     normal(min_normal, -1.0);
@@ -44,8 +49,8 @@ struct ForceLimits {
       if (!limits_torque(torque_limit[j])) continue;
       for (double sign : {1.0, -1.0}) {
         for (int k = 0; k < width * count; ++k) row[k] = sign * jacobian[joints * k + j];
-        f(row, torque_limit[j] - sign * (torque_bias.empty() ? 0.0 : torque_bias[j]),
-          torque_limit[j]);
+        limit_row(torque_limit[j] - sign * (torque_bias.empty() ? 0.0 : torque_bias[j]),
+                  torque_limit[j]);
       }
     }
   }
@@ -65,16 +70,20 @@ class LimitTable {
 
   // Fill the table; the Jacobian is (N, width, J). Return false if a row acts on several contacts,
   // or if numbers are not finite or too large.
-  bool fill(const Contacts& contacts, const ForceLimits& limits, int width = 3) {
+  bool fill(const Contacts& contacts, const ForceLimits& limits, int width = 3,
+            const Preload& preload = {}) {
     const int count = contacts.count;
     clear();
     reserve(limits.many());  // includes rows that are not reached now
     row_.resize(width * count);
     bool good = true;
-    limits.rows(count, width, row_, [&](std::span<const double> row, double bound, double limit) {
-      good = good && add(count, row.data(), contacts.divisor.data(), contacts.lambda.data(), bound,
-                         limit, width);
-    });
+    limits.rows(
+        count, width, row_,
+        [&](std::span<const double> row, double bound, double limit) {
+          good = good && add(count, row.data(), contacts.divisor.data(), contacts.lambda.data(),
+                             bound, limit, width);
+        },
+        preload);
     return good;
   }
   // Add a row (N, width) on at most one contact. limit: growth of b if the limit doubles.

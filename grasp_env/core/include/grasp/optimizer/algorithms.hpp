@@ -29,7 +29,9 @@ template <class V, int B> class Algorithms {
   Code start() {
     clear_record();
     const ProblemKind kind = on_.placement.kind;
-    const bool general_serves = algorithm_for(on_.options, kind) == Algorithm::general ||
+    const auto algorithm = algorithm_for(on_.options, kind);
+    if (!algorithm) return unserved();
+    const bool general_serves = algorithm == Algorithm::general ||
                                 (kind == ProblemKind::soft && starts_.requested() == Start::given);
     const Code code = general_serves ? UNDECIDED : starts_.find();
     if (code == CONVERGED) {
@@ -69,8 +71,11 @@ template <class V, int B> class Algorithms {
                         .start = starts_.default_start(),
                         .optimum = call_.request.optimum,
                         .trace = trace};
-    CallState second{
-        .request = again, .stop = {call_.stop.tolerance, call_.stop.limit - spent}, .w = w_};
+    CallState second{.request = again,
+                     .stop = {call_.stop.tolerance, call_.stop.limit - spent},
+                     .wrench = call_.wrench,
+                     .w = w_,
+                     .offset = call_.offset};
     const Code code = Algorithms(on_, second).run();
     const bool proven = code == CONVERGED || code == INFEASIBLE || code == LIMITS_EXCEEDED;
     const bool better =
@@ -89,9 +94,9 @@ template <class V, int B> class Algorithms {
   Code run() {
     Summary& s = record_.summary();
     s = Summary{};
-    std::copy_n(call_.request.wrench, 6, s.wrench.begin());
+    s.wrench = call_.wrench;
     const auto algorithm = algorithm_for(on_.options, on_.placement.kind);
-    if (!algorithm) return on_.current.now.placing == Placing::rank_lost ? RANK_LOST : REFUSED;
+    if (!algorithm) return unserved();
     switch (*algorithm) {
       case Algorithm::newton:
         return newton();
@@ -107,9 +112,13 @@ template <class V, int B> class Algorithms {
         return general();
     }
   }
+  // The method has no algorithm for these contacts.
+  Code unserved() const {
+    return on_.current.now.placing == Placing::rank_lost ? RANK_LOST : REFUSED;
+  }
   void clear_record() {
     record_.clear();
-    std::copy_n(call_.request.wrench, 6, record_.summary().wrench.begin());
+    record_.summary().wrench = call_.wrench;
   }
   // Record a proof that uses only the cones.
   Code write_proof() {
@@ -119,7 +128,7 @@ template <class V, int B> class Algorithms {
   // Begin from the previous solution. Return false if the call does not.
   bool follows_previous(Call& call) {
     call_.used = {.start = starts_.requested()};
-    if (call_.used.start != Start::previous || !GivenForce(on_, call_.request).load_previous())
+    if (call_.used.start != Start::previous || !GivenForce(on_, call_).load_previous())
       return false;
     take_given(call, From::tangent);
     return true;
@@ -227,7 +236,7 @@ template <class V, int B> class Algorithms {
       if (interior == INFEASIBLE) return write_proof();
       if (!on_.has_internal_force(Search::thorough)) return general();
     }
-    const Code code = on_.conic().solve(call_.request.wrench, record_);
+    const Code code = on_.conic().solve(call_.wrench.data(), record_);
     if (code == REFUSED) return general();
     if (code == CONVERGED) return code;
     General* program = on_.general();
@@ -241,7 +250,7 @@ template <class V, int B> class Algorithms {
     Code code = REFUSED;
     if (on_.options.method == Method::conic) {
       call_.used.start = Start::central;
-      code = program->least_normal(call_.request.wrench, on_.options.criterion, stop, record_);
+      code = program->least_normal(call_.wrench.data(), on_.options.criterion, stop, record_);
     } else {
       code = minimise_phi(*program, stop);
     }
@@ -252,7 +261,7 @@ template <class V, int B> class Algorithms {
   Code minimise_phi(General& program, const StopRule& stop) {
     Call call = call_.from(From::combination);
     UsedStart& used = call_.used;
-    GivenForce given(on_, call_.request);
+    GivenForce given(on_, call_);
     const Start start = starts_.requested();
     used.start = Start::phase_one;
     if (start == Start::given) {
@@ -292,7 +301,7 @@ template <class V, int B> class Algorithms {
     auto& newton = on_.newton;
     const Contacts& now = on_.current.now;
     const Record record(newton.row.data(), now.count);
-    const Call call{.wrench = call_.request.wrench, .stop = {call_.stop.tolerance, limit}};
+    const Call call{.wrench = call_.wrench.data(), .stop = {call_.stop.tolerance, limit}};
     grasp::begin(cones_, on_.internal_force(), w_, newton.x);
     Code code = REFUSED;
     if (now.soft()) {

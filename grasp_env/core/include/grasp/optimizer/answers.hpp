@@ -65,6 +65,7 @@ template <class V, int B> class AnswerWriter {
   }
 
  private:
+  static constexpr double NOT_TOUCHING = std::numeric_limits<double>::quiet_NaN();
   Solvers<V, B>& on_;
   const CurrentContacts& current_;
   const CallState& call_;
@@ -85,6 +86,7 @@ template <class V, int B> class AnswerWriter {
     const Record record = on_.record();
     const Summary& from = record.summary();
     Summary& s = out.summary();
+    s.wrench_with_preload = call_.wrench;
     s.iterations = from.iterations;
     s.trials = from.trials;
     s.residual = from.residual;
@@ -103,30 +105,49 @@ template <class V, int B> class AnswerWriter {
     s = from.summary();
     s.code = code;
     s.wrench = wrench;
+    s.wrench_with_preload = call_.wrench;
+    if (code != LIMITS_EXCEEDED) {
+      s.objective += call_.offset;
+      s.lower_bound += call_.offset;
+    }
     write_sizes(current_, s);
     s.start = double(call_.used.start);
     s.replaced = call_.used.replaced;
     s.outside = call_.used.outside;
+    add_offset_to_trace(int(s.iterations));
     write_contacts(from, out);
     if (current_.joints) current_.torques(from, out.torques());
     if (current_.limits.rows) s.limit_excess = current_.excess(out);
   }
+  // Add the preloads to the forces and write them, in the order of all contacts.
   void write_contacts(const Record& from, const Record& out) const {
     const int all = current_.home.count;
     const Contacts& now = current_.now;
+    current_.preload.add_to(from.force(), now.count);
+    current_.preload.add_to(from.initial_force(), now.count);
+    const auto used = [&](int i) { return friction_used(now, current_.friction_margin, from, i); };
     if (now.count == all) {
       std::copy_n(from.force(), 7 * all, out.force());
       std::copy_n(now.frames.data(), 9 * all, out.frames());
+      for (int i = 0; i < all; ++i) out.friction_used()[i] = used(i);
       return;
     }
     std::fill(out.force(), out.frames() + 9 * all, 0.0);
+    std::fill_n(out.friction_used(), all, NOT_TOUCHING);
     for (int i = 0; i < now.count; ++i) {
       const int to = current_.chosen[i];
       std::copy_n(from.force() + 3 * i, 3, out.force() + 3 * to);
       std::copy_n(from.initial_force() + 3 * i, 3, out.initial_force() + 3 * to);
       out.torsion()[to] = from.torsion()[i];
       std::copy_n(&now.frames[9 * i], 9, out.frames() + 9 * to);
+      out.friction_used()[to] = used(i);
     }
+  }
+  void add_offset_to_trace(int iterations) const {
+    if (call_.offset == 0.0) return;
+    const std::span<double> trace = call_.request.trace;
+    for (double& value : trace.first(std::min(trace.size(), std::size_t(iterations) + 1)))
+      value += call_.offset;
   }
 };
 

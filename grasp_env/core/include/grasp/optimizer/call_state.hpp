@@ -11,11 +11,13 @@ struct UsedStart {
   bool outside = false;   // the wrench lies outside the range of the model's training
 };
 
-// One call, and what is known of it so far.
+// One call, and what is known of it so far. Solvers see the shifted problem of `Preload`.
 struct CallState {
   const Request& request;
-  StopRule stop;  // steps that are left
-  Vec6 w{};       // the wrench in the unit frame of the current contacts
+  StopRule stop;    // steps that are left
+  Vec6 wrench{};    // the wrench, with that of the preloads
+  Vec6 w{};         // the same in the unit frame of the current contacts
+  double offset{};  // what the objective has more than that of the shifted problem
   UsedStart used{};
   Vec6 twist{};  // the last twist that the cones alone prove, see `ConicSolver::find_inside`
 
@@ -23,10 +25,10 @@ struct CallState {
   bool is_study() const { return request.optimum == request.optimum || !request.trace.empty(); }
   // The call of a solver, from a force of the call or from its `x`.
   Call from(From start = From::given) const {
-    return {.wrench = request.wrench,
+    return {.wrench = wrench.data(),
             .stop = stop,
             .start = start,
-            .optimum = request.optimum,
+            .optimum = request.optimum - offset,
             .trace = request.trace.data(),
             .traced = int(request.trace.size())};
   }

@@ -45,6 +45,10 @@ class CurrentContacts {
  public:
   Contacts home, now;  // of the problem; of this call, without those that do not touch
   StoredLimits limits;
+  double home_friction_margin;       // of the problem
+  std::vector<double> home_preload;  // (N,) [N]
+  double friction_margin = 1.0;      // of this call; `now` has the friction within it
+  Preload preload;                   // of `now`
   int joints;
   LimitTable table;  // limits of the current contacts, if each acts on one contact
   // (n,) torsion in units of its limit / torsion [1 / m]; inf: not soft
@@ -56,13 +60,25 @@ class CurrentContacts {
       : home(problem.contacts),
         now(home),
         limits(problem.limits, home.count),
+        home_friction_margin(problem.margin.friction),
+        home_preload(home.count),
+        preload({}, home.count),
         joints(int(limits.joints())),
         divisor(home.count, infinity),
         chosen(home.count),
         contact_jacobian_(4 * home.count * joints),
         gathered_(6 * home.count),
         min_normal_(home.count),
-        max_normal_(home.count) {}
+        max_normal_(home.count) {
+    for (int i = 0; i < home.count; ++i) chosen[i] = i;
+    if (!problem.margin.preload.fits(home.count))
+      throw std::invalid_argument("the preload must be one number, or one of each contact");
+    if (!load_margin(problem.margin, home.count))
+      throw std::invalid_argument(
+          "the friction margin must be above 0 and at most 1, preloads 0 to 1e12 and below the "
+          "largest normal forces");
+    home_preload = preload.each;
+  }
 
   // The bits of a mask that belong to contacts.
   std::uint64_t touching(std::uint64_t mask) const {
@@ -110,6 +126,9 @@ class CurrentContacts {
       }
       now.set_friction(changes.friction, {chosen.data(), std::size_t(now.count)}, all);
     }
+    if (changes.margin && !changes.margin->preload.fits(all)) return REFUSED;
+    if (!load_margin(changes.margin ? *changes.margin : home_margin(), now.count)) return REFUSED;
+    if (friction_margin < 1.0) now.narrow(friction_margin);
     const Placing placed = now.place(positions, normals);
     if (placed == Placing::refused) return REFUSED;
     if (now.reach.rank == 0) return RANK_LOST;
@@ -118,10 +137,13 @@ class CurrentContacts {
     return load_limits(changes) ? CONVERGED : REFUSED;
   }
 
-  // Make the contacts of the last `load_call`, all of which touch, the problem's, and its Jacobian
-  // and torque bias.
+  // Make the contacts of the last `load_call`, all of which touch, the problem's, and its margin,
+  // Jacobian and torque bias.
   void take_over(const Changes& changes) {
-    home = now;
+    home_friction_margin = friction_margin;
+    home_preload = preload.each;
+    if (!changes.friction.empty()) home.set_friction(changes.friction, chosen, home.count);
+    home.place(now.positions.data(), now.normals.data());
     if (!changes.jacobian.empty())
       limits.jacobian.assign(changes.jacobian.begin(), changes.jacobian.end());
     if (!changes.torque_bias.empty())
@@ -185,11 +207,26 @@ class CurrentContacts {
     return most;
   }
 
+  Margin home_margin() const { return {home_friction_margin, home_preload}; }
+
  private:
   // The Jacobian (n, 4, J) in contact frames; the call's numbers of the contacts that touch.
   std::vector<double> contact_jacobian_, gathered_, min_normal_, max_normal_;
   Doubles jacobian_{}, bias_{};
 
+  // Load the margin of the first `count` contacts of `chosen`. Return false if it is out of range.
+  bool load_margin(const Margin& margin, int count) {
+    friction_margin = margin.friction;
+    if (!(friction_margin > 0.0 && friction_margin <= 1.0)) return false;
+    preload.clear();
+    for (int k = 0; k < count; ++k) {
+      preload.set(k, margin.preload[chosen[k]]);
+      const double most = limits.max_normal.empty() ? 0.0 : limits.max_normal[chosen[k]];
+      if (!(preload.each[k] >= 0.0 && preload.each[k] <= LARGEST)) return false;
+      if (most > 0.0 && preload.each[k] >= most) return false;
+    }
+    return true;
+  }
   // Return false if the numbers are not finite.
   bool load_limits(const Changes& changes) {
     jacobian_ = changes.jacobian.empty() ? Doubles(limits.jacobian) : changes.jacobian;
@@ -204,7 +241,7 @@ class CurrentContacts {
     for (int i : std::span(chosen).first(now.count))
       if (!usable(jacobian_.subspan(per_contact * i, per_contact))) return false;
     if (!usable(bias_)) return false;
-    separate = table.fill(now, limits_in_place(), 4);
+    separate = table.fill(now, limits_in_place(), 4, preload);
     return true;
   }
   // Jacobian (n, 4, J): velocities along (normal, o, t), and the angular velocity about the normal.

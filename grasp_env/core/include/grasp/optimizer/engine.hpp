@@ -21,6 +21,7 @@ class alignas(64) Engine {
   virtual void set_basis(const double* basis) = 0;
   virtual double make_basis(double* basis, bool warm) = 0;
   virtual const Contacts& home() const = 0;
+  virtual Margin margin() const = 0;
   virtual int size() const = 0;  // numbers in a row
 };
 

@@ -5,10 +5,12 @@
 
 namespace grasp::detail {
 
-// The functions load a force of the touching contacts into `given` and `newton.x`.
+// The functions load a force of the touching contacts, less the preload, into `given` and
+// `newton.x`.
 template <class V, int B> class GivenForce {
  public:
-  GivenForce(Solvers<V, B>& on, const Request& request) : on_(on), request_(request) {}
+  GivenForce(Solvers<V, B>& on, const CallState& call)
+      : on_(on), call_(call), request_(call.request) {}
 
   // Load the caller's force (N, 3), without torsion. False: it has another size.
   bool load_force() {
@@ -62,26 +64,30 @@ template <class V, int B> class GivenForce {
       const double* f = &request_.force[3 * current.chosen[i]];
       std::copy_n(f, 3, &force()[3 * i]);
       torsion()[i] = request_.torsion.empty() ? 0.0 : request_.torsion[current.chosen[i]];
-      if (torsion()[i] != 0.0 &&
-          !(current.divisor[i] * std::abs(torsion()[i]) < current.now.scale[3 * i] * f[0]))
-        return false;
       for (int a = 0; a < 3; ++a) most = std::max(most, std::abs(f[a]));
     }
     load();
+    for (int i = 0; i < current.now.count; ++i)
+      if (torsion()[i] != 0.0 && !(current.divisor[i] * std::abs(torsion()[i]) <
+                                   current.now.scale[3 * i] * force()[3 * i]))
+        return false;
     const auto& cones = on_.newton.cones;
     if (!cones.is_in_range(on_.newton.x) || !(cones.phi(on_.newton.x) < infinity)) return false;
-    const double missed = program.missed(request_.wrench, force().data(), torsion().data());
-    return missed <=
-           General::BALANCE_TOLERANCE * (most + grasp::size(cones.unit.of(request_.wrench)));
+    const double missed = program.missed(call_.wrench.data(), force().data(), torsion().data());
+    return missed <= General::BALANCE_TOLERANCE * (most + grasp::size(call_.w));
   }
 
  private:
   Solvers<V, B>& on_;
+  const CallState& call_;
   const Request& request_;
 
   std::vector<double>& force() { return on_.given.force; }
   std::vector<double>& torsion() { return on_.given.torsion; }
-  void load() { on_.newton.cones.load_force(force().data(), on_.newton.x); }
+  void load() {
+    on_.current.preload.subtract_from(force().data(), on_.current.now.count);
+    on_.newton.cones.load_force(force().data(), on_.newton.x);
+  }
 };
 
 }  // namespace grasp::detail

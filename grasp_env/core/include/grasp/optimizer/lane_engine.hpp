@@ -17,6 +17,7 @@ template <class V, int B> class LaneEngine final : public Engine {
     return copy;
   }
   const Contacts& home() const override { return on_.current.home; }
+  Margin margin() const override { return on_.current.home_margin(); }
   int size() const override {
     return record_size(home().count, on_.current.joints, on_.current.limits.rows);
   }
@@ -38,7 +39,12 @@ template <class V, int B> class LaneEngine final : public Engine {
       return;
     }
     std::vector<double> space(record_size(home().count) * count);
-    const SolveBatch many{count, wrenches, space.data()};
+    std::vector<double> loads(wrenches, wrenches + 6 * count);
+    const CurrentContacts& current = on_.current;
+    for (std::ptrdiff_t k = 0; k < count && current.preload.any; ++k) {
+      std::ranges::copy(current.preload.added_to(wrenches + 6 * k, current.now), &loads[6 * k]);
+    }
+    const SolveBatch many{count, loads.data(), space.data()};
     if (start == Start::internal_force)
       newton_many(on_.newton, on_.internal_force(), stop(), many);
     else
@@ -49,8 +55,9 @@ template <class V, int B> class LaneEngine final : public Engine {
         solve_one(k);
         continue;
       }
-      const Request request{.wrench = many.wrench(k)};
+      const Request request{.wrench = wrenches + 6 * k};
       CallState call = begin(request);
+      load_wrench(call);
       call.used.start = start;
       std::copy_n(&record.summary().code, record_size(home().count), on_.answer.row.data());
       AnswerWriter(on_, call).write(CONVERGED, open_row(on_, request, rows + size() * k));
@@ -65,7 +72,12 @@ template <class V, int B> class LaneEngine final : public Engine {
   Deepest deepest(const double* wrench, double* force, double* torsion) override {
     const bool usable = on_.place({}) == CONVERGED && is_valid_wrench(wrench);
     General* program = usable ? on_.general() : nullptr;
-    return program ? program->deepest(wrench, 1e-7, force, torsion) : Deepest{};
+    if (!program) return {};
+    const Preload& preload = on_.current.preload;
+    const Vec6 load = preload.added_to(wrench, on_.current.now);
+    const Deepest deepest = program->deepest(load.data(), 1e-7, force, torsion);
+    preload.add_to(force, home().count);
+    return deepest;
   }
   std::optional<Vec6> within_reach(const double* wrench, const Changes& now) override {
     if (on_.place(now) != CONVERGED || !is_valid_wrench(wrench) || on_.current.now.reach.full())
@@ -104,8 +116,20 @@ template <class V, int B> class LaneEngine final : public Engine {
     const Code code = on_.place(call.request.now);
     if (code != CONVERGED) return code;
     if (!is_valid_wrench(call.request.wrench)) return REFUSED;
-    call.w = on_.newton.cones.unit.of(call.request.wrench);
-    return CONVERGED;
+    load_wrench(call);
+    return is_valid_wrench(call.wrench.data()) ? CONVERGED : REFUSED;
+  }
+  // Take over the wrench of a call for the current contacts.
+  void load_wrench(CallState& call) const {
+    const CurrentContacts& current = on_.current;
+    const Contacts& now = current.now;
+    call.wrench = current.preload.added_to(call.request.wrench, now);
+    call.w = on_.newton.cones.unit.of(call.wrench.data());
+    const bool conic = on_.options.method == Method::conic;
+    if (conic && on_.options.criterion != Criterion::sum) return;
+    call.offset = current.preload.cost(now.count, [&](int i) {
+      return conic ? now.omega[i] : cost_of_normal_force(now.omega[i], now.scale[3 * i]);
+    });
   }
   // The start of problems solved side by side, in the lanes of registers; Start::standard if they
   // cannot be.

@@ -160,7 +160,7 @@ template <class V, int B> class Solvers {
     const auto place = [&] {
       return general_.place(current.now, is_torsional() ? current.divisor.data() : nullptr,
                             current.limits.rows ? current.limits_in_place() : ForceLimits{}, 4,
-                            internal_force_array()) == Placing::good;
+                            internal_force_array(), current.preload) == Placing::good;
     };
     return general_placed_.at(placement, place) ? &general_ : nullptr;
   }

@@ -12,7 +12,7 @@ template <class V, int B> class Starts {
   Starts(Solvers<V, B>& on, CallState& call)
       : on_(on),
         call_(call),
-        given_(on, call.request),
+        given_(on, call),
         newton_(on.newton),
         cones_(on.newton.cones),
         starter_(on.newton.starter),
@@ -144,7 +144,7 @@ template <class V, int B> class Starts {
     General* program = on_.placement.kind == ProblemKind::hard ? on_.general() : nullptr;
     if (!program) return UNDECIDED;
     const Deepest deep =
-        program->deepest(call_.request.wrench, 1e-7, on_.given.force.data(), nullptr);
+        program->deepest(call_.wrench.data(), 1e-7, on_.given.force.data(), nullptr);
     call_.twist = deep.twist;
     if (deep.code != CONVERGED || deep.moved)
       return deep.code == INFEASIBLE ? INFEASIBLE : UNDECIDED;
@@ -175,7 +175,7 @@ template <class V, int B> class Starts {
   bool combine(Start start) {
     if (!starter_.has_basis || on_.current.now.count != on_.current.home.count) return false;
     const bool home = on_.placement.home;
-    const double* wrench = call_.request.wrench;
+    const double* wrench = call_.wrench.data();
     if (start == Start::linear_combination) {
       if (!home) return starter_.moved_combination(cones_, newton_.system, wrench, call_.w, x_);
       starter_.combine(wrench, x_);

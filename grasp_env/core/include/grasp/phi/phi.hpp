@@ -10,8 +10,14 @@ template <class T> struct Weights {
   T omega, lambda;
 };
 
+// Cost of a unit of u by squeezing, and of a newton of normal force; scale: u for that newton.
+template <class T> inline T squeezing_cost(const T& omega) { return 3.0 * omega; }
+inline double cost_of_normal_force(double omega, double scale) {
+  return squeezing_cost(omega) * scale;
+}
+
 template <class T> inline T phi(const Vec3<T>& x, const Weights<T>& w) {
-  return 3.0 * w.omega * x.u + w.lambda * (1.0 / x.u + 2.0 * x.u / lorentz(x, x));
+  return squeezing_cost(w.omega) * x.u + w.lambda * (1.0 / x.u + 2.0 * x.u / lorentz(x, x));
 }
 
 // Phi and its gradient, from the same two divisions.
@@ -23,8 +29,9 @@ template <class T> inline T phi(const Vec3<T>& x, const Weights<T>& w, Vec3<T>& 
   const T i2 = i * i;
   const T iu = 1.0 / x.u;
   const T k = 4.0 * w.lambda * i2 * x.u;
-  gradient = {3.0 * w.omega - w.lambda * (iu * iu + 2.0 * i2 * (u2 + s2)), k * x.o, k * x.t};
-  return 3.0 * w.omega * x.u + w.lambda * (iu + 2.0 * x.u * i);
+  gradient = {squeezing_cost(w.omega) - w.lambda * (iu * iu + 2.0 * i2 * (u2 + s2)), k * x.o,
+              k * x.t};
+  return squeezing_cost(w.omega) * x.u + w.lambda * (iu + 2.0 * x.u * i);
 }
 
 template <class T> inline Vec3<T> gradient(const Vec3<T>& x, const Weights<T>& w) {
@@ -141,7 +148,7 @@ template <class T> struct ContactLagrangian {
   T low, high;
 
   ContactLagrangian(const Vec3<T>& y, const Weights<T>& w) {
-    const T a = 3.0 * w.omega - y.u;
+    const T a = squeezing_cost(w.omega) - y.u;
     const T t = sqrt(y.o * y.o + y.t * y.t);
     low = a - t;
     high = a + t;

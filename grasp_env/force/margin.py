@@ -1,0 +1,203 @@
+"""The margin of a problem: how far its forces stay inside the friction cones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from grasp_env.errors import InvalidInputError, shown
+from grasp_env.grasp.grasp import Grasp
+from grasp_env.inputs import ranges
+from grasp_env.inputs.arguments import Array, ContactForces, Wrench, as_array, number
+
+
+@dataclass(frozen=True, eq=False)
+class Margin:
+    """How far forces stay inside the friction cones: |t| <= friction * mu * (n - preload).
+
+    The share of friction covers friction that is lower than given, the preload errors of the wrench
+    and of the forces. The torsion of soft contacts stays within friction * gamma * (n - preload).
+    Contacts that do not touch have no preload.
+
+    Attributes:
+        friction: share of the friction that forces may use, 0.01 to 1.
+        preload: normal force of each contact that does not count for friction [N], 0 to 1e6, below
+            `max_normal`; one for all contacts or (N,).
+
+    Raises:
+        InvalidInputError: a number out of range, or another shape.
+
+    Example:
+        >>> from grasp_env.force import optimize_force
+        >>> from grasp_env.grasp import presets
+        >>> cuboid, load = presets.paper_cuboid(), [0, 0, -10, 0, 0, 0]
+        >>> optimize_force(cuboid, load).friction_used.max().round(2)
+        0.99
+        >>> optimize_force(cuboid, load, margin=0.8).friction_used.max().round(2)
+        0.79
+        >>> optimize_force(cuboid, load, margin=Margin(0.8, preload=0.5)).friction_used.max().round(2)
+        0.75
+    """
+
+    friction: float = 1.0
+    preload: ArrayLike = 0.0
+
+    def __post_init__(self) -> None:
+        share = number(self.friction, "the friction margin", ranges.FRICTION_MARGIN)
+        preload: Any = as_array(self.preload, None, "preload")
+        within = ranges.LEAST_NORMAL_FORCE
+        fits = (preload >= within.low) & (preload <= within.high)
+        if preload.ndim > 1 or preload.size == 0 or not fits.all():
+            raise InvalidInputError(
+                f"preload must lie within {within}, one for all contacts or one per contact, got {shown(self.preload)}"
+            )
+        if preload.ndim:
+            preload.flags.writeable = False
+        else:
+            preload = float(preload)
+        object.__setattr__(self, "friction", share)
+        object.__setattr__(self, "preload", preload)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Margin) and self._key() == other._key()
+
+    def __hash__(self) -> int:
+        return hash(self._key())
+
+    def _key(self) -> tuple[Any, ...]:
+        return self.friction, np.shape(self.preload), np.asarray(self.preload).tobytes()
+
+    def __bool__(self) -> bool:
+        """False for the margin that changes nothing."""
+        return self.friction < 1.0 or bool(np.any(self.preload))
+
+    def __str__(self) -> str:
+        parts = []
+        if self.friction < 1.0:
+            parts.append(f"friction margin {self.friction:g}")
+        if np.any(self.preload):
+            parts.append(f"preload {np.asarray(self.preload).tolist()} N")
+        return " and ".join(parts) or "no margin"
+
+    def preloads(self, n_contacts: int) -> Array:
+        """Return the preloads (N,) [N] of `n_contacts` contacts.
+
+        Raises:
+            InvalidInputError: preloads of another number of contacts.
+        """
+        preload = np.asarray(self.preload)
+        if preload.ndim and len(preload) != n_contacts:
+            raise InvalidInputError(
+                f"preload has {len(preload)} entries, the grasp {n_contacts} contacts: give one or {n_contacts}"
+            )
+        return np.broadcast_to(preload, (n_contacts,)).copy()
+
+    def narrowed(self, grasp: Grasp) -> Grasp:
+        """Return the grasp with the share of its friction, or itself if that is all of it."""
+        if self.friction == 1.0:
+            return grasp
+        models = grasp.models
+        gamma = models.torsional_friction
+        tangents = grasp.contacts.tangents
+        return Grasp.from_contacts(
+            grasp.positions,
+            grasp.normals,
+            self.friction * models.friction,
+            contact_model=models.names,
+            torsional_friction=self.friction * gamma if gamma.any() else None,
+            tangents=tangents if len(tangents) else None,
+        )
+
+    def shifted(self, grasp: Grasp, wrench: Wrench) -> ShiftedProblem:
+        """Return the problem of a grasp and a wrench (6,) without this margin."""
+        preload = self.preloads(grasp.n_contacts)
+        return ShiftedProblem.of(self.narrowed(grasp), wrench, preload)
+
+    def check_limits(self, limits: Any, n_contacts: int, touching: Any = None) -> None:
+        """Raise an error if a preload of a contact that touches reaches its largest normal force."""
+        preload = self.preloads(n_contacts)
+        if limits is None or not preload.any():
+            return
+        most = limits.checked(n_contacts).max_normal
+        crossing = preload >= most
+        if touching is not None:
+            crossing &= touching
+        for k in np.flatnonzero(crossing):
+            raise InvalidInputError(
+                f"the preload must be below max_normal at every contact; at contact {k} they are {preload[k]:g} and {most[k]:g} N: "
+                "lower the preload or raise the limit"
+            )
+
+
+class ShiftedProblem(NamedTuple):
+    """The ordinary problem whose forces g give the forces f = g + s n of a problem with a margin.
+
+    Attributes:
+        grasp: the contacts with the share of their friction.
+        wrench: (6,) w + G s n [N, N m].
+        preload: (N,) s [N].
+    """
+
+    grasp: Grasp
+    wrench: Wrench
+    preload: Array
+
+    @classmethod
+    def of(cls, grasp: Grasp, wrench: Wrench, preload: Array) -> ShiftedProblem:
+        """Return the problem of a grasp that `Margin.narrowed` returned."""
+        return cls(grasp, wrench + grasp.matrix[:, ::3] @ preload, preload)
+
+    def outer(self, force: ContactForces) -> ContactForces:
+        """Return f (N, 3) [N] from g."""
+        return self._moved(force, self.preload)
+
+    def inner(self, force: ContactForces) -> ContactForces:
+        """Return g (N, 3) [N] from f."""
+        return self._moved(force, -self.preload)
+
+    def _moved(self, force: ContactForces, by: Array) -> ContactForces:
+        moved = np.array(force)
+        moved[:, 0] += by
+        return moved
+
+
+def nearest_margin(margin: Margin, largest_share: Callable[[Margin], float | None]) -> str:
+    """Return a sentence with the margin that forces do keep where they do not keep `margin`.
+
+    The sentence is empty if no force exists without a margin either.
+
+    Args:
+        margin: the margin that no force keeps.
+        largest_share: solves with another margin and returns the largest share of friction that its
+            force uses; None if there is no force.
+    """
+    for preload, words in ((margin.preload, " and that preload"), (0.0, " and no preload")):
+        if largest_share(Margin(1.0, preload)) is None:
+            continue
+        low, high = 0, 100  # percents of friction without and with a force
+        while high - low > 1:
+            middle = (low + high) // 2
+            if largest_share(Margin(middle / 100, preload)) is None:
+                low = middle
+            else:
+                high = middle
+        kept = Margin(max(high / 100, margin.friction), preload)
+        return (
+            f"no force keeps {margin}; with friction margin {kept.friction:g}{words if np.any(margin.preload) else ''} one exists "
+            f"(uses {largest_share(kept):.3g} of the friction): "
+        )
+    return ""
+
+
+NO_MARGIN = Margin()
+
+
+def as_margin(value: Any) -> Margin:
+    """Return `value`, a `Margin`, a share of friction or None, as a checked margin."""
+    if value is None:
+        return NO_MARGIN
+    return value if isinstance(value, Margin) else Margin(value)
