@@ -45,13 +45,21 @@ class Preload {
     each[contact] = preload;
     any = any || preload > 0.0;
   }
-  // w + G s n
+  // w + G s n. Where contacts cannot make all wrenches, G s n is within their reach: what rounding
+  // adds beyond it is left out.
   Vec6 added_to(const double* to, const Contacts& contacts) const {
     Vec6 wrench{to[0], to[1], to[2], to[3], to[4], to[5]};
     if (!any) return wrench;
-    for (int i = 0; i < contacts.count; ++i)
+    double total = 0.0;
+    for (int i = 0; i < contacts.count; ++i) {
       wrench = wrench + each[i] * column(contacts.matrix.data(), 3 * contacts.count, 3 * i);
-    return wrench;
+      total += each[i];
+    }
+    const WrenchSpace& reach = contacts.reach;
+    if (reach.full()) return wrench;
+    const double rounding = BOUNDARY * size(contacts.unit.of(to)) + reach.rounding * total;
+    const bool rounded = size(reach.beyond(contacts.unit.of(wrench))) <= rounding;
+    return rounded ? contacts.within_reach(wrench.data()) : wrench;
   }
   // (n, 3) forces g of the shifted problem from f, and back
   void subtract_from(double* force, int count) const { add(force, count, -1.0); }
