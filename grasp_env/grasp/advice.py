@@ -16,25 +16,30 @@ from grasp_env.grasp.mistakes import (
     contact_units,
     frame_and_order,
     lever_units,
+    little_margin,
     some_outward,
     torque_units,
 )
 from grasp_env.inputs.arguments import Array, Wrench, as_wrench, warn
 
 
-def advise(grasp: Grasp, wrench: ArrayLike | None = None, limits: Any = None) -> list[str]:
+def advise(
+    grasp: Grasp, wrench: ArrayLike | None = None, limits: Any = None, margin: Any = None
+) -> list[str]:
     """Return a list of texts, one for each likely mistake in a grasp, a wrench and limits.
 
     The texts report normals that point out of the object, millimetres (positions, torsional
     friction, Jacobian), friction above 2 or in degrees, contacts that nearly coincide, and a nearly
     singular G. With a wrench, they also report a moment about another point than the origin of the
-    positions, and force and moment in the wrong order. With limits as well, they report torque
-    limits hundreds of times too large or too small. Each text states what was seen, when it may be
+    positions, force and moment in the wrong order, and, without a margin, an optimum that uses more
+    than 0.9 of the friction. With limits as well, they report torque limits hundreds of times too
+    large or too small. Each text states what was seen, when it may be
     right, and what to change. `optimize_force` warns about the almost certain mistakes.
 
     Args:
         grasp, wrench: as in `optimize_force`.
         limits: the `ForceLimits` of the solve.
+        margin: the `Margin` of the solve, or its share of friction; None: none.
 
     Raises:
         InvalidInputError: no grasp, a wrench of another shape, or limits of another number of
@@ -43,12 +48,14 @@ def advise(grasp: Grasp, wrench: ArrayLike | None = None, limits: Any = None) ->
     Example:
         >>> from grasp_env.grasp import presets
         >>> good = presets.tripod()
-        >>> advise(good, wrench=[0, 0, -5, 0, 0, 0])
+        >>> advise(good, wrench=[0, 0, -5, 0, 0, 0], margin=0.75)
         []
+        >>> print(*advise(good, wrench=[0, 0, -5, 0, 0, 0]))
+        the optimum without a margin uses 0.969 of the friction at contact 1: it slips there if ...
         >>> print(*advise(Grasp.from_contacts(good.positions, -good.normals, 0.5)))
         all 3 normals point away from the centre of the contacts: normals must point INTO the
         object; ...
-        >>> print(*advise(good, wrench=[0.1, 0, 0, 0, 0, -5]))
+        >>> print(*advise(good, wrench=[0.1, 0, 0, 0, 0, -5], margin=0.75))
         the wrench's moment of 5 N m is that of its force of 0.1 N at 50 m from contacts that span
         0.04 m: ...
     """
@@ -60,6 +67,8 @@ def advise(grasp: Grasp, wrench: ArrayLike | None = None, limits: Any = None) ->
         mistakes += lever_units(jacobian)
     if load is not None:
         mistakes += frame_and_order(grasp, load)
+    if load is not None and margin is None:
+        mistakes += little_margin(grasp, load)
     if load is not None and jacobian is not None and torque_limit is not None:
         mistakes += torque_units(grasp, load, jacobian, torque_limit)
     mistakes += [*coincident(grasp), *condition(grasp)]

@@ -45,6 +45,8 @@ LARGEST_CONDITION = 1e3
 """Condition number of G, moments over the length, above which wrenches need very large forces."""
 SMALLEST_DISTANCE = 0.01
 """Distance of two contacts, in lengths of the grasp, below which they act like one contact."""
+LITTLE_LEFT = 0.9
+"""Share of the friction beyond which small errors let an object slip."""
 _CONVERGED = core.codes()["converged"]
 
 Mistakes = Iterator[tuple[bool, str]]
@@ -177,6 +179,22 @@ def _sizes(grasp: Grasp, wrench: Wrench) -> tuple[float, float, float, float]:
     (fx, fy, fz, mx, my, mz), (x, y, z) = wrench.tolist(), grasp.contacts.centre.tolist()
     turning = hypot(mx - (y * fz - z * fy), my - (z * fx - x * fz), mz - (x * fy - y * fx))
     return hypot(fx, fy, fz), hypot(mx, my, mz), turning, hypot(x, y, z)
+
+
+def little_margin(grasp: Grasp, wrench: Wrench) -> Mistakes:
+    """Judge how much of the friction the optimum without a margin uses."""
+    solution: Any = core.ForceOptimizer(core.Problem(grasp.contacts)).solve(wrench)
+    if not solution.has_force:
+        return
+    worst = int(solution.friction_used.argmax())
+    used = float(solution.friction_used[worst])
+    if used > LITTLE_LEFT:
+        yield (
+            False,
+            f"the optimum without a margin uses {used:.3g} of the friction at contact {worst}: it slips there if the friction is {1.0 - used:.1%} "
+            "lower than given, or under a slightly different load; take margin=0.9, 0.75 or 0.5 where the friction is known to 10, 25 or 50 %, "
+            "and a preload against errors of the load: Margin(0.75, preload=0.5)",
+        )
 
 
 def torque_units(grasp: Grasp, wrench: Wrench, jacobian: Array, torque_limit: Array) -> Mistakes:

@@ -21,6 +21,7 @@ ALWAYS = (
 WITH_A_FORCE = (
     "force",
     "torsion",
+    "friction_used",
     "optimality_gap",
     "cone_margin",
     "multipliers",
@@ -46,14 +47,14 @@ def print_solution(solution: ForceSolution, grasp: Grasp, title: str) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    columns = ["contact", "normal [N]", "o [N]", "t [N]", "margin [N]"]
+    columns = ["contact", "normal [N]", "o [N]", "t [N]", "friction used"]
     soft = bool(grasp.models.torsional_friction.any())
     if soft:
         columns.append("torsion [N m]")
     table = Table(*columns, title=f"{title}: {solution.status.value}")
-    margins = grasp.cone_margins(solution.force)
-    for k, (force, margin) in enumerate(zip(solution.force, margins, strict=True)):
-        row = [str(k), *(f"{value:.4f}" for value in (*force, margin))]
+    shares = solution.friction_used
+    for k, (force, share) in enumerate(zip(solution.force, shares, strict=True)):
+        row = [str(k), *(f"{value:.4f}" for value in force), f"{share:.3f}"]
         if soft:
             row.append(f"{solution.torsion[k]:.6f}")
         table.add_row(*row)
@@ -61,7 +62,7 @@ def print_solution(solution: ForceSolution, grasp: Grasp, title: str) -> None:
     console.print(table)
     console.print(
         "each finger's force on the object: normal into it, o and t the two directions of the contact's tangent plane "
-        "(Grasp.frames); margin: friction * normal - |(o, t)|"
+        "(Grasp.frames); friction used: at 0.99 the contact slips if the friction is 1 % lower than given (--margin, --preload)"
     )
     console.print(
         f"{solution.method} from {solution.initial}: {solution.iterations} iterations ({solution.trials} trials), "

@@ -12,7 +12,7 @@ from typing import Annotated
 import numpy as np
 
 from grasp_env.errors import GraspError, GraspWarning, InvalidInputError
-from grasp_env.force import ForceLimits, ForceSolution, optimize_force
+from grasp_env.force import ForceLimits, ForceSolution, Margin, optimize_force
 from grasp_env.force.options import CRITERIA, METHODS
 from grasp_env.force.rules import RULES
 from grasp_env.grasp import Grasp, advise, load_grasp, save_grasp
@@ -52,6 +52,9 @@ class Solve:
         barrier_weight: lambda of Phi [N^2]: a larger one keeps further from slipping, and squeezes
             more; not for conic.
         tolerance: relative gap to the certified bound.
+        margin: share of the friction that forces may use, 0.01 to 1: 0.9, 0.75 or 0.5 where the
+            friction is known to 10, 25 or 50 %.
+        preload: normal force of every contact that does not count for friction [N].
         min_normal: least normal force of every contact [N].
         max_normal: largest normal force of every contact [N].
         json: print one JSON object, errors too.
@@ -73,6 +76,8 @@ class Solve:
     criterion: Annotated[str, one_of(CRITERIA)] = "sum"
     barrier_weight: Annotated[float | None, left_out("0.01", "FLOAT")] = None
     tolerance: Annotated[float | None, left_out("1e-4, of conic 1e-6", "GAP")] = None
+    margin: float = 1.0
+    preload: float = 0.0
     min_normal: float = 0.0
     max_normal: Annotated[float, left_out("no limit", "FLOAT")] = math.inf
     json: bool = False
@@ -134,6 +139,7 @@ class Solve:
                 method=self.method,
                 criterion=self.criterion,
                 limits=limits,
+                margin=Margin(self.margin, self.preload),
                 barrier_weight=self.barrier_weight,
                 tolerance=self.tolerance,
             )
