@@ -35,7 +35,18 @@ RANKS = {
 }
 """Number of trailing dimensions of each tensor that belong to one problem, not to the batch."""
 NAMES = tuple(RANKS)
-NEEDED = ("positions", "normals", "friction", "wrench", "force_weight", "barrier_weight")
+ALL_RANKS = RANKS | {"friction_margin": 0, "preload": 1}
+"""Those of a problem and of its margin, which may follow it."""
+ALL_NAMES = tuple(ALL_RANKS)
+NEEDED = (
+    "positions",
+    "normals",
+    "friction",
+    "wrench",
+    "force_weight",
+    "barrier_weight",
+    "friction_margin",
+)
 INPUTS = len(NAMES) - 1
 """Number of differentiable inputs: all but the start."""
 SCALARS = (
@@ -47,6 +58,8 @@ SCALARS = (
     "max_normal",
     "force_weight",
     "barrier_weight",
+    "friction_margin",
+    "preload",
 )
 """Inputs that may be a number."""
 FLOATS = (torch.float64, torch.float32, torch.float16, torch.bfloat16)
@@ -71,7 +84,7 @@ def tails_of(count: int, rows: int, joints: int) -> tuple[tuple[int, ...], ...]:
     n = (count,)
     n3 = (count, 3)
     j = (joints,)
-    return n3, n3, (count, 2), n3, n, (6,), (count, rows, joints), j, j, n, n, n, n, n3
+    return n3, n3, (count, 2), n3, n, (6,), (count, rows, joints), j, j, n, n, n, n, n3, (), n
 
 
 def checked_tensors(inputs: Sequence[Any]) -> tuple[list[Tensor | None], torch.dtype]:
@@ -101,7 +114,8 @@ def checked_tensors(inputs: Sequence[Any]) -> tuple[list[Tensor | None], torch.d
     contacts = positions.shape[-2:-1]
     dtype = torch.float32
     out: list[Tensor | None] = []
-    for a, tail, name in zip(inputs, tails_of(contacts[0], rows, joints), NAMES, strict=True):
+    tails = tails_of(contacts[0], rows, joints)
+    for a, tail, name in zip(inputs, tails, ALL_NAMES, strict=False):
         if a is None:
             if name in NEEDED:
                 _refuse(name, a, "given")
@@ -117,7 +131,7 @@ def checked_tensors(inputs: Sequence[Any]) -> tuple[list[Tensor | None], torch.d
                     _refuse(name, a, "of a floating-point type")
                 if a.ndim:
                     dtype = torch.promote_types(dtype, a.dtype)
-            if a.shape[-len(tail) :] != tail:
+            if a.shape[a.ndim - len(tail) :] != tail:
                 if a.ndim == 0 and name in SCALARS:
                     a = a.expand(tail)
                 elif name == "friction" and a.shape[-1:] == contacts:
@@ -137,7 +151,7 @@ def _refuse(name: str, value: Any, expected: str) -> NoReturn:
 def common_device(inputs: Sequence[Any]) -> torch.device:
     """Return the device of all tensors."""
     device = getattr(inputs[0], "device", torch.device("cpu"))
-    for a, name in zip(inputs, NAMES, strict=True):
+    for a, name in zip(inputs, ALL_NAMES, strict=False):
         if isinstance(a, Tensor) and a.device != device:
             devices = f"positions on {device} and {name} on {a.device}"
             raise InvalidInputError(f"all tensors must be on one device, got {devices}")
@@ -145,12 +159,12 @@ def common_device(inputs: Sequence[Any]) -> torch.device:
 
 
 def common_lead(tensors: Sequence[Tensor | None]) -> torch.Size:
-    """Return the common leading dimensions of the tensors, in the order of `NAMES`."""
-    pairs = zip(tensors, RANKS.values(), strict=False)
+    """Return the common leading dimensions of the tensors, in the order of `ALL_NAMES`."""
+    pairs = zip(tensors, ALL_RANKS.values(), strict=False)
     leads = [a.shape[: a.ndim - rank] for a, rank in pairs if a is not None]
     try:
         return torch.broadcast_shapes(*leads)
     except RuntimeError:
-        pairs = zip(NAMES, tensors, strict=False)
+        pairs = zip(ALL_NAMES, tensors, strict=False)
         shapes = ", ".join(f"{name} {tuple(a.shape)}" for name, a in pairs if a is not None)
         raise InvalidInputError(f"leading dimensions must broadcast, got {shapes}") from None
