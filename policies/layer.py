@@ -12,7 +12,8 @@ from typing import Any, NamedTuple, TypeAlias
 
 from grasp_env.force.record import STALLED
 from grasp_env.inputs.extras import need
-from policies.layer_inputs import checked_settings, checked_tensors, common_device
+from policies.layer_inputs import NAMES, checked_settings, checked_tensors, common_device
+from policies.layer_margin import Shift, with_margin
 from policies.layer_operators import InPlace, optima, raise_for, read_in_place, solve
 
 with need("layer"):
@@ -79,6 +80,8 @@ def grasp_force(
     max_normal: Given | None = None,
     force_weight: Given = 1.0,
     barrier_weight: Given = 0.01,
+    friction_margin: Given = 1.0,
+    preload: Given | None = None,
     start: Tensor | None = None,
     infeasible: str = "mask",
     tolerance: float = 1e-10,
@@ -97,6 +100,12 @@ def grasp_force(
     Tangential components are along o and t. o is the projection of `tangents` on the tangent plane,
     and t = normal x o.
 
+    A margin keeps each contact within abs(tangential force) <= friction_margin * mu * (normal force
+    - preload) and abs(torsion) <= friction_margin * gamma * (normal force - preload). Phi is that
+    of the force beyond the preload. Phi of the whole force is larger by a constant, so its relative
+    gap is at most `gap`. A `min_normal` that the preload reaches is no limit, so Phi has no barrier
+    for it.
+
     Args:
         positions: (..., N, 3) contact points [m].
         normals: (..., N, 3) inward normals of any length.
@@ -114,6 +123,10 @@ def grasp_force(
         torque_bias: (..., J) joint torques that do not come from the grasp [N m].
         min_normal, max_normal: (..., N) limits of normal forces [N]; 0 and inf: none.
         force_weight, barrier_weight: (..., N) omega [-] and lambda [N^2] of Phi.
+        friction_margin: (...) share of the friction that may be used, > 0 and at most 1. A number
+            or a 0-d tensor holds for all elements.
+        preload: (..., N) normal force [N] that carries no tangential force, >= 0 and below
+            max_normal; None: 0.
         start: (..., N, 3) force of an earlier result, used as a warm start if it is near; its
             gradient is zero.
         infeasible: treatment of elements without an optimum. "mask": return the elastic force (see
@@ -124,7 +137,8 @@ def grasp_force(
         chunk: number of elements that a thread solves at a time; the results do not depend on it.
 
     Raises:
-        InvalidInputError: shapes, types or devices do not fit.
+        InvalidInputError: shapes, types or devices do not fit, or a number given for
+            friction_margin or preload is out of range. A tensor out of range gives status 4.
         UnknownNameError: `infeasible` has another value.
         InfeasibleWrenchError: elements have no optimum, with `infeasible="raise"`.
 
@@ -158,12 +172,14 @@ def grasp_force(
         barrier_weight,
         start,
     )
-    return _forces(inputs, checked_settings(infeasible, tolerance, max_iterations, chunk))
+    settings = checked_settings(infeasible, tolerance, max_iterations, chunk)
+    return _forces(with_margin(inputs, friction_margin, preload), settings)
 
 
 def _forces(inputs: Sequence[Any], settings: tuple[str, float, int, int]) -> GraspForces:
-    """Return the forces; `inputs` are in the order of `layer_inputs.NAMES`."""
-    problems = read_in_place(inputs)
+    """Return the forces; `inputs` are in the order of `layer_inputs.NAMES`, or `ALL_NAMES`."""
+    has_margin = len(inputs) > len(NAMES)
+    problems = None if has_margin else read_in_place(inputs)
     if problems is None:
         device = common_device(inputs)
         if device.type not in _SOLVED_ON:
@@ -172,7 +188,11 @@ def _forces(inputs: Sequence[Any], settings: tuple[str, float, int, int]) -> Gra
             )
             return GraspForces(*[a.to(device) for a in forces])
         tensors, dtype = checked_tensors(inputs)
-        force, torsion, multipliers, facts, _ = solve(*tensors, *settings)
+        shift = Shift(tensors) if has_margin else None
+        tensors = shift.problem if shift else tensors
+        force, torsion, multipliers, facts, state = solve(*tensors, *settings)
+        if shift:
+            force = shift.back(force, facts, state, settings[0])
     else:  # fast path: the core reads the inputs without a copy
         dtype = torch.float32 if problems.float32 else torch.float64
         if torch.is_grad_enabled() and any(
@@ -236,7 +256,8 @@ class GraspForceLayer(nn.Module):
 
         Args:
             positions, normals, friction, wrench: see `grasp_force`.
-            others: keyword arguments of `grasp_force` for tensors: tangents, limits, weights, start.
+            others: keyword arguments of `grasp_force` for tensors: tangents, limits, weights,
+                margin, start.
         """
         return grasp_force(
             positions,

@@ -75,6 +75,16 @@ def problems(kind: str, batch: int, seed: int = 0) -> dict[str, Tensor]:
     return made
 
 
+def margin(given: dict[str, Tensor], seed: int = 0) -> dict[str, Tensor]:
+    """Return margins for problems: 0.7 to 0.99 of the friction, preloads below 0.29 N, the last 0."""
+    draw = torch.Generator().manual_seed(seed)
+    batch, contacts = given["positions"].shape[:2]
+    preload = 0.29 * torch.rand(batch, contacts, generator=draw, dtype=torch.float64)
+    preload[:, -1] = 0.0
+    share = 0.7 + 0.29 * torch.rand(batch, generator=draw, dtype=torch.float64)
+    return {"friction_margin": share, "preload": preload}
+
+
 def human(limits: str, contacts: int, batch: int, seed: int = 0) -> dict[str, Tensor]:
     """Return grasps of human size, most of which exceed their limits of "normals" or of "torques":
     5 to 40 N, points within 0.04 m.

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from layer_problems import KINDS, error, gradients, problems, same_bits
+from layer_problems import KINDS, error, gradients, margin, problems, same_bits
 from torch import Tensor
 
 from grasp_env.errors import InfeasibleWrenchError, InvalidInputError, UnknownNameError
@@ -57,10 +57,13 @@ def test_forces_are_those_of_the_optimizer(kind):
         np.testing.assert_allclose(multipliers, expected.multipliers, rtol=1e-4, atol=near)
 
 
+@pytest.mark.parametrize("with_margin", [False, True])
 @pytest.mark.parametrize("kind", [*KINDS, "exceeded", "unbalanced"])
-def test_gradients_are_those_of_differences(kind):
+def test_gradients_are_those_of_differences(kind, with_margin):
     """All inputs at once, along random directions; elastic answers included."""
     given = problems(kind, 2)
+    if with_margin:
+        given |= margin(given)
     # infinite limits and hard contacts stay
     moves = {name: a.isfinite() & (a != 0.0) for name, a in given.items()}
 
@@ -112,18 +115,29 @@ SPOILED = [
     ("force_weight", torch.nan),
     ("torsional_friction", torch.inf),
 ]
+SPOILED_MARGINS = [
+    *(("friction_margin", value) for value in (0.0, -0.5, 1.001, torch.nan, torch.inf)),
+    *(("preload", value) for value in (-0.1, 1e13, torch.nan, torch.inf)),
+    ("normals", torch.nan),
+]
 
 
 @pytest.mark.usefixtures("way")
-def test_an_element_does_not_disturb_its_neighbours():
+@pytest.mark.parametrize("margins", [[], SPOILED_MARGINS])
+def test_an_element_does_not_disturb_its_neighbours(margins):
     given = problems("soft", 300)
+    if margins:
+        given |= margin(given)
     given["friction"][3] = given["torsional_friction"][3] = 1e-4  # nothing balances this wrench
     good = torch.ones(len(given["wrench"]), dtype=torch.bool)
     good[3] = False
-    for k, (name, value) in enumerate(SPOILED, start=5):
+    spoiled = SPOILED + margins
+    for k, (name, value) in enumerate(spoiled, start=5):
         given[name][k], good[k] = value, False
     result, by = gradients(given)
-    assert result.status[5 : 5 + len(SPOILED)].tolist() == [4] * len(SPOILED)
+    refused = slice(5, 5 + len(spoiled))
+    assert result.status[refused].tolist() == [4] * len(spoiled)
+    assert not result.force[refused].any()
     assert result.status[3] in (3, 7)
     assert result.feasible.tolist() == good.tolist()
     assert not any(a.isnan().any() for a in (*result, *by.values()))

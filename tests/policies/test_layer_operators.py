@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 import torch
-from layer_problems import Forces, Passing, error, gradients, problems, same_bits
+from layer_problems import Forces, Passing, error, gradients, margin, problems, same_bits
 from torch import Tensor
 from torch._lazy import ts_backend
 
@@ -160,12 +160,16 @@ def test_transforms():
     torch.testing.assert_close(again.grad, leaf.grad)
 
 
+@pytest.mark.parametrize("with_margin", [False, True])
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
-def test_tensors_on_another_device_are_solved_on_the_cpu(dtype):
+def test_tensors_on_another_device_are_solved_on_the_cpu(dtype, with_margin):
     """torch's builds for the CPU have a second device that computes, `lazy`: answers and gradients
     come back to it."""
     start_lazy_device()
-    given = {name: a.to(dtype) for name, a in problems("soft", 3).items()}
+    given = problems("soft", 3)
+    if with_margin:
+        given |= margin(given)
+    given = {name: a.to(dtype) for name, a in given.items()}
     given["friction"] = given["friction"][0]  # shared
     far = {name: a.to("lazy") for name, a in given.items()}
     options: dict[str, Any] = {"max_normal": 50.0, "infeasible": "elastic"}
