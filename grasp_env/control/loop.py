@@ -20,6 +20,7 @@ from grasp_env.force.initial import (
     rule_name,
     rule_start,
 )
+from grasp_env.force.margin import shifted
 from grasp_env.force.objective import Objective
 from grasp_env.force.options import FLOWS
 from grasp_env.force.record import CODE, REFUSED, RESULTS
@@ -244,7 +245,7 @@ class ForceLoop:
             grasp = Grasp.from_contacts(
                 self.seen.points[touching], self.seen.normals[touching], self._friction
             )
-            problem = self.margin.shifted(grasp, self.wrench)
+            problem = shifted(self.margin, grasp, self.wrench)
             start = rule_start(self.optimizer.initial, problem, self.optimizer.objective)
         except self._lost_closure:  # the method reports this from its own start
             self._start = None

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from grasp_env.errors import InvalidInputError, shown
+from grasp_env.force.limits import ForceLimits
 from grasp_env.grasp.grasp import Grasp
 from grasp_env.inputs import ranges
 from grasp_env.inputs.arguments import Array, ContactForces, Wrench, as_array, number
@@ -97,7 +98,7 @@ class Margin:
         return np.broadcast_to(preload, (n_contacts,)).copy()
 
     def narrowed(self, grasp: Grasp) -> Grasp:
-        """Return the grasp with the share of its friction, or itself if that is all of it."""
+        """Return `grasp` with the share of its friction, or itself if that is all of it."""
         if self.friction == 1.0:
             return grasp
         models = grasp.models
@@ -111,26 +112,6 @@ class Margin:
             torsional_friction=self.friction * gamma if gamma.any() else None,
             tangents=tangents if len(tangents) else None,
         )
-
-    def shifted(self, grasp: Grasp, wrench: Wrench) -> ShiftedProblem:
-        """Return the problem of a grasp and a wrench (6,) without this margin."""
-        preload = self.preloads(grasp.n_contacts)
-        return ShiftedProblem.of(self.narrowed(grasp), wrench, preload)
-
-    def check_limits(self, limits: Any, n_contacts: int, touching: Any = None) -> None:
-        """Raise an error if a preload of a contact that touches reaches its largest normal force."""
-        preload = self.preloads(n_contacts)
-        if limits is None or not preload.any():
-            return
-        most = limits.checked(n_contacts).max_normal
-        crossing = preload >= most
-        if touching is not None:
-            crossing &= touching
-        for k in np.flatnonzero(crossing):
-            raise InvalidInputError(
-                f"the preload must be below max_normal at every contact; at contact {k} they are {preload[k]:g} and {most[k]:g} N: "
-                "lower the preload or raise the limit"
-            )
 
 
 class ShiftedProblem(NamedTuple):
@@ -163,6 +144,27 @@ class ShiftedProblem(NamedTuple):
         moved = np.array(force)
         moved[:, 0] += by
         return moved
+
+
+def shifted(margin: Margin, grasp: Grasp, wrench: Wrench) -> ShiftedProblem:
+    """Return the problem of a grasp and a wrench (6,) without the margin."""
+    return ShiftedProblem.of(margin.narrowed(grasp), wrench, margin.preloads(grasp.n_contacts))
+
+
+def check_preload(
+    margin: Margin, limits: ForceLimits | None, n_contacts: int, touching: Any = None
+) -> None:
+    """Raise an error if the preload of a contact that touches reaches its largest normal force."""
+    preload = margin.preloads(n_contacts)
+    if limits is None or not preload.any():
+        return
+    most = limits.checked(n_contacts).max_normal
+    crossing = preload >= most if touching is None else (preload >= most) & touching
+    for k in np.flatnonzero(crossing):
+        raise InvalidInputError(
+            f"the preload must be below max_normal at every contact; at contact {k} they are {preload[k]:g} and {most[k]:g} N: "
+            "lower the preload or raise the limit"
+        )
 
 
 def nearest_margin(margin: Margin, largest_share: Callable[[Margin], float | None]) -> str:

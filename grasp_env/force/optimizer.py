@@ -37,7 +37,13 @@ from grasp_env.force.initial import (
 )
 from grasp_env.force.limits import ForceLimits, as_limits, core_limits
 from grasp_env.force.many import ForceSolutions, checked_batch, solve_many
-from grasp_env.force.margin import Margin, ShiftedProblem, as_margin, nearest_margin
+from grasp_env.force.margin import (
+    Margin,
+    ShiftedProblem,
+    as_margin,
+    check_preload,
+    nearest_margin,
+)
 from grasp_env.force.objective import Objective, Weight
 from grasp_env.force.options import MAX_ITERATIONS, checked_options
 from grasp_env.force.proof import explain
@@ -164,7 +170,7 @@ class ForceOptimizer:
             raise InvalidInputError(
                 f"method 'conic' starts from its own centre, got initial={shown(initial)}"
             )
-        self._margin.check_limits(self.limits, grasp.n_contacts)
+        check_preload(self._margin, self.limits, grasp.n_contacts)
         self._make()
         warn_of_contacts(grasp, self.limits)
         if isinstance(self._initial, ForceSolution):
@@ -362,7 +368,7 @@ class ForceOptimizer:
             raise InvalidInputError(
                 "jacobian and torque_bias need torque limits: make the optimizer with limits"
             )
-        self._margin_of(call).check_limits(self.limits, self._count, call.contacts)
+        check_preload(self._margin_of(call), self.limits, self._count, call.contacts)
         return load, call
 
     def _solve_from(
@@ -445,7 +451,7 @@ class ForceOptimizer:
             InvalidInputError, RankDeficientGraspError: as in `solve`; the optimizer is unchanged.
         """
         call = self._arrays(positions, normals, friction, jacobian, torque_bias, None, margin)
-        self._margin_of(call).check_limits(self.limits, self._count)
+        check_preload(self._margin_of(call), self.limits, self._count)
         moved = any(array is not None for array in call[:3])
         grasp = touching_grasp(self.grasp, call) if moved else self.grasp
         if self.options.flows and grasp.rank < 6:

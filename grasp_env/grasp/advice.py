@@ -67,7 +67,7 @@ def advise(
         mistakes += lever_units(jacobian)
     if load is not None:
         mistakes += frame_and_order(grasp, load)
-    if load is not None and margin is None:
+    if load is not None and (not margin or margin == 1.0):
         mistakes += little_margin(grasp, load)
     if load is not None and jacobian is not None and torque_limit is not None:
         mistakes += torque_units(grasp, load, jacobian, torque_limit)

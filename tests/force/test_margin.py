@@ -400,7 +400,7 @@ def test_an_infeasible_margin_is_explained():
     with pytest.raises(InfeasibleWrenchError):
         optimize_force(CUBOID, wrench, margin=0.14, limits=limits)
     with pytest.raises(
-        InfeasibleWrenchError, match="friction margin 0.15 and no preload one exists"
+        InfeasibleWrenchError, match=r"friction margin 0.15 and no preload one exists"
     ):
         optimize_force(CUBOID, wrench, margin=Margin(0.12, 29.0), limits=limits)
     with pytest.raises(InfeasibleWrenchError, match=r"^no force strictly inside"):
@@ -440,7 +440,7 @@ def test_wrong_margins_of_a_call(margin):
         lambda: solver.start(PAPER_WRENCH, margin=margin),
         lambda: solver.update(margin=margin),
     ):
-        with pytest.raises(InvalidInputError, match="margin|preload"):
+        with pytest.raises(InvalidInputError, match=r"margin|preload"):
             call()
     assert solver.margin == Margin()
 

@@ -11,7 +11,7 @@ import pytest
 from problems import GRASPS
 
 from grasp_env.errors import GraspWarning, InfeasibleWrenchError, InvalidInputError
-from grasp_env.force import ForceLimits, ForceOptimizer, joint_torques, optimize_force
+from grasp_env.force import ForceLimits, ForceOptimizer, Margin, joint_torques, optimize_force
 from grasp_env.grasp import Grasp, presets, wrench_about
 from grasp_env.grasp.advice import advise
 from grasp_env.grasp.transforms import transform_wrench, transformed
@@ -148,7 +148,9 @@ def test_plausible_problems_get_no_advice():
                 # an origin far away makes G ill-conditioned, which is true: not a mistake in the
                 # numbers
                 told += [
-                    text for text in advise(grasp, load, bound) if "condition number" not in text
+                    text
+                    for text in advise(grasp, load, bound, 0.75)
+                    if "condition number" not in text
                 ]
                 tried += 1
     assert told == []
@@ -177,7 +179,7 @@ def test_some_normals_are_only_blamed_if_turning_them_round_helps():
 
 
 def test_poor_grasps_are_described():
-    assert [text for grasp in GRASPS.values() for text in advise(grasp, PAPER)] == []
+    assert [text for grasp in GRASPS.values() for text in advise(grasp, PAPER, margin=0.75)] == []
     assert advise(other(friction=1.9)) == []
     five = presets.five_finger_cuboid()
     positions = five.positions.copy()
@@ -215,11 +217,21 @@ def test_torque_limits_are_beside_the_torques_of_forces_and_torsions():
         joint_torques(jacobian, found.object_force, moment=found.torsion[:, None] * soft.normals)
     )
     worst = int(torques.argmax())
-    (text,) = advise(soft, PAPER, ForceLimits(jacobian=jacobian, torque_limit=1e-5))
+    (text,) = advise(soft, PAPER, ForceLimits(jacobian=jacobian, torque_limit=1e-5), 0.75)
     assert f"of joint {worst} ({torques[worst]:.3g} of 1e-05 N m)" in text
     assert (
-        advise(soft, PAPER, ForceLimits(jacobian=jacobian, torque_limit=torques[worst] / 290)) == []
+        advise(soft, PAPER, ForceLimits(jacobian=jacobian, torque_limit=torques[worst] / 290), 0.75)
+        == []
     )
+
+
+def test_an_optimum_close_to_slipping_is_described():
+    load = [0, 3, -10, 0, 0, 0]
+    for margin in (None, Margin(), 1.0):
+        (text,) = advise(CUBOID, load, margin=margin)
+        used = optimize_force(CUBOID, load).friction_used
+        assert f"uses {used.max():.3g} of the friction at contact {used.argmax()}: it slips" in text
+    assert advise(CUBOID, load, margin=0.75) == advise(CUBOID, 0.01 * np.array(load)) == []
 
 
 def test_rows_of_rotation_have_no_unit_to_mistake():
