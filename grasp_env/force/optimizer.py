@@ -302,7 +302,6 @@ class ForceOptimizer:
     def solve(
         self,
         wrench: ArrayLike,
-        *,
         positions: ArrayLike | None = None,
         normals: ArrayLike | None = None,
         friction: ArrayLike | None = None,
@@ -310,6 +309,7 @@ class ForceOptimizer:
         torque_bias: ArrayLike | None = None,
         contacts: ArrayLike | None = None,
         margin: Margin | float | None = None,
+        *,
         initial: Initial | None = None,
         optimum: float | None = None,
         trace: bool = False,
@@ -351,13 +351,15 @@ class ForceOptimizer:
             solution = self._solve(wrench, arrays, None)
             if solution is NotImplemented:  # an argument cannot be read in place
                 solution = self._solve(*self._checked(wrench, arrays), None)
+            if solution:
+                return solution
             start = OWN_START
         else:
             solution, start = self._solve_from(
                 *self._checked(wrench, arrays), initial, optimum, trace
             )
-        if solution.has_force:
-            return solution
+            if solution:
+                return solution
         raise self._error(solution, wrench, arrays, start)
 
     def _checked(self, wrench: ArrayLike, arrays: tuple[Any, ...]) -> tuple[Wrench, Call]:
@@ -390,7 +392,8 @@ class ForceOptimizer:
             start.mark(solution._record)
             self.core.remember(solution)  # with the names and the mark
         if values is not None:
-            solution.objective_trace = values[: solution.iterations + 1]
+            traced = values[: solution.iterations + 1]
+            solution.objective_trace = traced[~np.isnan(traced)]
         return solution, start
 
     def start(

@@ -112,6 +112,8 @@ class Names(NamedTuple):
 class ForceSolution(Solution):
     """A grasp force with its certificates: a view of one record (`record.py`), read on demand.
 
+    A solution is true if it has a force.
+
     Attributes:
         n_contacts: N, the number of contacts.
         force: (N, 3) force of each finger on the object [N]: normal, o, t in the contact frame;
@@ -147,7 +149,8 @@ class ForceSolution(Solution):
             strictly inside.
         limit_excess: largest excess of a limit as a fraction of that limit; see `elastic` of
             `ForceOptimizer`.
-        objective_trace: Phi of every iterate with `trace=True`; else empty.
+        objective_trace: Phi of every iterate with `trace=True`, without those of the general
+            program where it continued; else empty.
     """
 
     __slots__ = ()

@@ -99,6 +99,7 @@ Py_ssize_t count(PyObject* self) { return record(self).contacts(); }
 
 PyObject* n_contacts(PyObject* self, void*) { return PyLong_FromSsize_t(count(self)); }
 PyObject* code(PyObject* self, void*) { return PyLong_FromLong(long(*row(self))); }
+int is_true(PyObject* self) { return record(self).has_force(); }
 PyObject* has_force(PyObject* self, void*) { return PyBool_FromLong(record(self).has_force()); }
 PyObject* forces(PyObject* self, Py_ssize_t rows_before) {
   const npy_intp shape[] = {count(self), 3};
@@ -223,6 +224,7 @@ PyType_Slot slots[] = {
     {Py_tp_dealloc, reinterpret_cast<void*>(drop)},
     {Py_tp_getset, read},
     {Py_tp_members, held},
+    {Py_nb_bool, reinterpret_cast<void*>(is_true)},
     {Py_tp_doc, const_cast<char*>("The data of a solution; see `grasp_env.force.ForceSolution`.")},
     {}};
 PyType_Spec spec{"grasp_env.core._core.Solution", sizeof(Solution), 0,

@@ -88,10 +88,10 @@ inline double friction_used(const Contacts& contacts, double margin, const Recor
   const double gamma = contacts.torsion[i];
   const double o = scale[1] * force[1];
   const double t = scale[2] * force[2];
-  const double turn = gamma > 0.0 ? std::abs(record.torsion()[i]) / gamma : 0.0;
-  const double needed = std::max(std::sqrt(o * o + t * t) / scale[0], turn);
-  if (!(needed > 0.0)) return 0.0;
-  return force[0] > 0.0 ? margin * needed / force[0] : infinity;
+  const auto part = [](double of, double all) { return of > 0.0 ? of / std::max(all, 0.0) : 0.0; };
+  double used = part(std::sqrt(o * o + t * t), scale[0] * force[0]);
+  if (gamma > 0.0) used = std::max(used, part(std::abs(record.torsion()[i]), gamma * force[0]));
+  return margin * used;
 }
 
 }  // namespace grasp
