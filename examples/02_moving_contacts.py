@@ -12,7 +12,7 @@ from time import perf_counter
 import matplotlib.pyplot as plt
 import numpy as np
 
-from grasp_env.force import ForceOptimizer, joint_torques, optimize_force
+from grasp_env.force import ForceOptimizer, Margin, joint_torques, optimize_force
 from grasp_env.grasp import Grasp, gravity_wrench, presets
 
 nominal = presets.paper_cuboid()  # a thumb below, three fingers above; friction 0.4
@@ -34,33 +34,33 @@ def world(seconds):
     return points, normals, gravity_wrench(0.5, com=[0.005, 0, 0.01], rotation=rotation)
 
 
-optimizer = ForceOptimizer(nominal, initial="previous")
+margin = Margin(0.75, preload=0.5)
+optimizer = ForceOptimizer(nominal, margin=margin, initial="previous")
 stamps = np.empty((1000, 3))
-margins = np.empty((1000, 4))
+used = np.empty((1000, 4))
 torques = np.empty((1000, 12))
 for tick in range(1000):
     points, normals, wrench = world(1e-3 * tick)
     begin = perf_counter()
     solution = optimizer.solve(wrench, positions=points, normals=normals)
     moved = perf_counter()
-    anew = optimize_force(Grasp.from_contacts(points, normals, 0.4), wrench)
+    anew = optimize_force(Grasp.from_contacts(points, normals, 0.4), wrench, margin=margin)
     stamps[tick] = begin, moved, perf_counter()
     assert np.allclose(anew.force, solution.force, atol=0.1)
-    # distance from slipping [N]
-    margins[tick] = 0.4 * solution.force[:, 0] - np.hypot(*solution.force[:, 1:].T)
+    used[tick] = solution.friction_used  # shares of the friction; beyond 1 a finger slips
     torques[tick] = joint_torques(jacobian, solution.object_force)
 
 moving, anew = np.median(1e6 * np.diff(stamps), axis=0)
 print(f"median: contacts of the call {moving:.1f} us, all anew {anew:.1f} us")
 print(
-    f"largest joint torque {abs(torques).max():.3f} N m, least friction margin {margins.min():.3f} N"
+    f"largest joint torque {abs(torques).max():.3f} N m, at most {used.max():.3f} of the friction used"
 )
-assert margins.min() > 0 and 3 * moving < anew
+assert used.max() <= 0.75 and 3 * moving < anew
 
 fig, (left, right) = plt.subplots(1, 2, figsize=(8, 4.5), layout="constrained")
-left.plot(margins, label=["thumb", "finger 1", "finger 2", "finger 3"])
+left.plot(used, label=["thumb", "finger 1", "finger 2", "finger 3"])
 right.plot(torques)
-left.set(xlabel="time [ms]", ylabel="friction margin [N]", ylim=0)
+left.set(xlabel="time [ms]", ylabel="share of the friction used", ylim=(0, 1))
 right.set(xlabel="time [ms]", ylabel="torques of 12 joints [N m]")
 left.legend()
 plt.show()

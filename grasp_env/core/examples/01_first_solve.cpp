@@ -2,6 +2,7 @@
 // examples/01_first_solve.py.
 #include <grasp/optimizer.hpp>
 
+#include <algorithm>
 #include <cmath>
 #include <cstdio>
 #include <numbers>
@@ -21,7 +22,8 @@ int main() {
 
   // throws if they make no grasp
   const auto contacts = grasp::Contacts::from(positions, normals, 0.6);
-  grasp::ForceOptimizer solver({contacts});
+  // forces use at most 75 % of the friction
+  grasp::ForceOptimizer solver({.contacts = contacts, .margin = {.friction = 0.75}});
   const grasp::Record& solution = solver.solve(weight);
   if (solution.code() != grasp::CONVERGED) return 1;
 
@@ -31,5 +33,6 @@ int main() {
   std::printf("contact   normal        o        t   [N]\n");
   for (int i = 0; i < 3; ++i)
     std::printf("%7d %8.3f %8.3f %8.3f\n", i, force[3 * i], force[3 * i + 1], force[3 * i + 2]);
-  std::printf("%.3f N from slipping\n", solution.summary().margin);
+  const double* used = solution.friction_used();
+  std::printf("uses at most %.3f of the friction\n", std::max({used[0], used[1], used[2]}));
 }
