@@ -69,7 +69,8 @@ class Measure:
         problem: the problem.
         matrix: (6, N, k), zero where a contact does not touch.
         load: (6,) the wrench.
-        friction, spin: (N,) Coulomb coefficients and torsional friction [m].
+        friction, spin: (N,) shares of Coulomb coefficients and torsional friction [m] that count.
+        preload: (N,) normal forces that do not count for friction [N].
         rows, bound, size: (L, N, k), (L,), (L,) the limits.
         touching: (N,).
         centre: (3,) m.
@@ -82,6 +83,7 @@ class Measure:
     load: Numbers
     friction: Numbers
     spin: Numbers
+    preload: Numbers
     rows: Numbers
     bound: Numbers
     size: Numbers
@@ -119,8 +121,9 @@ class Measure:
             problem,
             matrix.transpose(2, 0, 1) * touching[:, None],
             np.concatenate([wrench[:3], (wrench[3:] - np.cross(centre, wrench[:3])) / length]),
-            number(problem.friction),
-            number(spin),
+            number(problem.friction) * number(problem.share)[()],
+            number(spin) * number(problem.share)[()],
+            number(problem.shift),
             number(problem.limit_matrix.reshape(-1, n, k)),
             number(problem.limit_bound),
             number(problem.limit_size),
@@ -148,7 +151,7 @@ class Measure:
         f = force.reshape(len(self.friction), -1)[self.touching]
         if name == "sum":
             return f[:, 0].sum()
-        u = self.friction[self.touching] * f[:, 0]
+        u = self.friction[self.touching] * (f[:, 0] - self.preload[self.touching])
         s = np.sqrt(f[:, 1] ** 2 + f[:, 2] ** 2)
         if not ((u > 0) & (u > s)).all():
             return np.inf
@@ -166,10 +169,11 @@ class Measure:
         """Raise normal forces into the cones and drop components that a contact cannot transmit."""
         f = force.reshape(len(self.friction), -1) * self.touching[:, None]
         s = np.sqrt(f[:, 1] ** 2 + f[:, 2] ** 2)
-        f[:, 0] = np.maximum(f[:, 0], s / self.friction)
+        f[:, 0] = np.maximum(f[:, 0], self.preload + s / self.friction)
         if f.shape[1] == 4:
             f[:, 3] *= self.spin > 0
-            f[:, 0] = np.maximum(f[:, 0], np.abs(f[:, 3]) / np.where(self.spin > 0, self.spin, 1))
+            turning = np.abs(f[:, 3]) / np.where(self.spin > 0, self.spin, 1)
+            f[:, 0] = np.maximum(f[:, 0], self.preload + turning)
         return f.reshape(-1)
 
     def upper(self, name: str, force: Numbers, multipliers: Numbers) -> Any:
@@ -202,7 +206,8 @@ class Measure:
         a_n >= friction hypot(a_o, a_t) + torsional_friction abs(a_tau) at every contact: the
         multipliers are multiplied by the largest theta <= 1 for which that holds. The cost of a
         newton of normal force is 1, or 3 friction for `phi`, whose barrier adds its least value
-        (`least`).
+        (`least`). The cones begin at the preload s, which adds a . s, or for `phi`, which has no
+        cost of s, -(G^T nu - B^T p) . s.
         """
         twist = self.twist(multipliers[:6])
         p = np.maximum(multipliers[6:], 0)
@@ -210,8 +215,11 @@ class Measure:
         along, sideways, need = self.pull(twist, p)
         most = (need / cost)[self.touching].max()
         theta = 1 / most if most > 1 else most * 0 + 1
-        bound = -(theta * (twist @ self.load + (p * self.bound).sum()))
-        if name == "phi":
+        work = twist @ self.load + (p * self.bound).sum() + along @ self.preload
+        bound = -(theta * work)
+        if name == "sum":
+            bound += self.preload.sum()
+        else:
             mu = self.friction
             low = (cost - theta * need) / mu
             high = (cost - theta * along) / mu + theta * sideways
@@ -231,18 +239,20 @@ class Measure:
     def violation(self, force: Array) -> float:
         """Return the distance of a force (N k,) from the cones over the largest |normal force|.
 
-        It is the largest of hypot(o, t) - friction * normal, -normal, and abs(torsion) /
-        torsional_friction - normal over contacts that touch, and of |components| of the others.
-        Torsion that a contact cannot transmit is divided by the length.
+        It is the largest of hypot(o, t) - friction * inner, -inner, and abs(torsion) /
+        torsional_friction - inner over contacts that touch, and of |components| of the others,
+        where inner is normal - preload. Torsion that a contact cannot transmit is divided by the
+        length.
         """
         f = self._in_newtons(force)
         normal = f[:, 0]
-        outside = np.maximum(np.hypot(f[:, 1], f[:, 2]) - self.friction * normal, -normal)
+        inner = normal - self.preload
+        outside = np.maximum(np.hypot(f[:, 1], f[:, 2]) - self.friction * inner, -inner)
         if f.shape[1] == 4:
             spins = self.spin > 0.0
             torsion = np.abs(f[:, 3])
             lever = np.where(spins, self.spin, 1.0) / self.length
-            outside = np.maximum(outside, np.where(spins, torsion / lever - normal, torsion))
+            outside = np.maximum(outside, np.where(spins, torsion / lever - inner, torsion))
         outside = np.where(self.touching, outside, np.abs(f).max(axis=1))
         return _relative(max(outside.max(), 0.0), np.abs(normal).max())
 
@@ -258,9 +268,10 @@ class Measure:
         in the units of this module, so it does not depend on the scale of (v, p). If a contact is
         outside its dual cone, `ROUNDING` included, its normal force could gain that distance. It is
         subtracted, times the largest normal force: that contact's limit, or `REACH` times the
-        wrench (or the largest least normal force, if that is larger) for all contacts without a
-        limit together. So the proof is complete if every contact has a limit or lies inside its
-        dual cone, and else holds up to that total of normal forces.
+        wrench (or the largest least normal force or preload, if that is larger) for all contacts
+        without a limit together. So the proof is complete if every contact has a limit or lies
+        inside its dual cone, and else holds up to that total of normal forces. Preloads s add s .
+        (G^T v + B^T p) to the result, because f - s n is in the cones.
         """
         if not np.isfinite(multipliers).all():
             return -np.inf
@@ -271,18 +282,20 @@ class Measure:
         sizes = (1.0 + self.friction + self.spin / self.length) * (
             length + np.einsum("lnk,l->n", np.abs(self.rows), p)
         )
-        gained = np.maximum(self.pull(-twist, p)[2] + ROUNDING * sizes, 0.0) * self.touching
+        along, _, need = self.pull(-twist, p)
+        gained = np.maximum(need + ROUNDING * sizes, 0.0) * self.touching
         least = self.problem.min_normal
         most = self.problem.max_normal
         most = np.full(len(gained), np.inf) if most is None else most
         limited = np.isfinite(most)
-        largest = load if least is None else max(load, least.max())
+        largest = max(load, self.preload.max(), 0.0 if least is None else least.max())
         unlimited = REACH * largest * gained[~limited].max(initial=0.0)
         repair = gained[limited] @ most[limited] + unlimited
-        size = length * load + p @ np.abs(self.bound)
+        size = length * load + p @ np.abs(self.bound) + sizes @ self.preload
         if not size > 0.0:
             return 0.0
-        return float((twist @ self.load - p @ self.bound - repair) / size) - ROUNDING
+        work = twist @ self.load - p @ self.bound - along @ self.preload
+        return float((work - repair) / size) - ROUNDING
 
     def _in_newtons(self, force: Array) -> Array:
         """Return the force (N, k) with torsion divided by the length."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from benchmarks.force.problems import Problem
-from grasp_env.force import ForceLimits
+from grasp_env.force import ForceLimits, Margin
 from grasp_env.grasp import Grasp
 
 LIMITS = ("min_normal", "max_normal", "jacobian", "torque_limit", "torque_bias")
@@ -29,6 +29,13 @@ def grasp_of(problem: Problem) -> tuple[Grasp, ForceLimits | None]:
         name: value for name in LIMITS if (value := getattr(problem, name)) is not None
     }
     return grasp, ForceLimits(**limits) if limits else None
+
+
+def margin_of(problem: Problem) -> Margin | None:
+    """Return the margin of a problem, if it has one."""
+    if not problem.has_margin:
+        return None
+    return Margin(float(problem.share), 0.0 if problem.preload is None else problem.preload)
 
 
 def problem_of(grasp: Grasp, wrench: ArrayLike, **others: Any) -> Problem:

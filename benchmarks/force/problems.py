@@ -3,11 +3,14 @@
 Balance a wrench w with the forces of N contacts, f = (normal, o, t[, torsion]) of each in its own
 frame:
 
-    G f + w = 0,   hypot(o, t) <= friction * normal,   abs(torsion) <= torsional_friction * normal,
+    G f + w = 0,   hypot(o, t) <= friction * inner,   abs(torsion) <= torsional_friction * inner,
     B f <= b
 
+inner is normal. With a margin it is normal - preload, and both frictions are multiplied by
+friction_margin.
+
 Objectives: `sum` is the sum of the normal forces [N]. `phi` is the paper's, sum_i 3 u + lambda (1 /
-u + 2 u / (u^2 - o^2 - t^2)) with u = friction * normal and lambda = `BARRIER_WEIGHT`; it is defined
+u + 2 u / (u^2 - o^2 - t^2)) with u = friction * inner and lambda = `BARRIER_WEIGHT`; it is defined
 for contacts without torsion and limits.
 
 A track is a file NAME.npz with NAME.json beside it. It consists of sessions, which are sequences of
@@ -17,7 +20,7 @@ problems of one structure.
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -53,6 +56,11 @@ FIELDS = {
 }
 """The arrays of a session in the object's frame, for M problems of N contacts and J joints; arrays
 that do not change have a first dimension of 1."""
+MARGIN_FIELDS = {
+    "friction_margin": "(M,) share of both frictions that forces may use",
+    "preload": "(M, N) N, hypot(o, t) <= friction_margin * friction * (normal - preload), torsion likewise",
+}
+"""Further arrays of a session whose forces keep a margin."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,8 +69,8 @@ class Problem:
 
     Attributes:
         positions, frames, friction, wrench, touching, torsional_friction, min_normal, max_normal,
-            jacobian, torque_limit, torque_bias: as in `FIELDS` without M; None where a track has
-            none.
+            jacobian, torque_limit, torque_bias, friction_margin, preload: as in `FIELDS` and
+            `MARGIN_FIELDS` without M; None where a track has none.
         normals: (N, 3) inward unit normals, the first columns of the frames.
         matrix: G (6, N k), k numbers per contact, moments about the origin; the columns of contacts
             that do not touch are zero.
@@ -84,6 +92,8 @@ class Problem:
     jacobian: Array | None = None
     torque_limit: Array | None = None
     torque_bias: Array | None = None
+    friction_margin: Array | None = None
+    preload: Array | None = None
     moved: bool = False
     normals: Array = field(init=False, repr=False)
     matrix: Array = field(init=False, repr=False)
@@ -101,7 +111,7 @@ class Problem:
         """Set fields to contiguous read-only arrays."""
         for name, array in arrays.items():
             if isinstance(array, np.ndarray):
-                copy = np.ascontiguousarray(array)
+                copy = np.array(array, order="C")
                 copy.setflags(write=False)
                 object.__setattr__(self, name, copy)
 
@@ -123,6 +133,49 @@ class Problem:
     def active(self) -> NDArray[np.bool_]:
         """(N,) True for contacts that touch."""
         return np.ones(self.n_contacts, dtype=bool) if self.touching is None else self.touching
+
+    @property
+    def has_margin(self) -> bool:
+        """True if the problem has a friction margin or preloads."""
+        return self.friction_margin is not None or self.preload is not None
+
+    @property
+    def share(self) -> Any:
+        """Share of both frictions that forces may use."""
+        return 1.0 if self.friction_margin is None else self.friction_margin
+
+    @property
+    def shift(self) -> Array:
+        """(N,) preloads s of the contacts that touch [N]."""
+        return np.zeros(self.n_contacts) if self.preload is None else self.preload * self.active
+
+    def shifted(self) -> Problem:
+        """Return the problem of f - s n without a margin, or itself if it has none.
+
+        Rows of limits and multipliers are the same; the optimum of `sum` is less by that of s.
+        """
+        if not self.has_margin:
+            return self
+        s = self.shift
+        push = np.pad(s[:, None], ((0, 0), (0, self.width - 1))).reshape(-1)
+        changes: dict[str, Any] = {"friction_margin": None, "preload": None}
+        changes["friction"] = self.share * self.friction
+        changes["wrench"] = self.wrench + self.matrix @ push
+        if self.torsional_friction is not None:
+            changes["torsional_friction"] = self.share * self.torsional_friction
+        if self.min_normal is not None:
+            changes["min_normal"] = np.maximum(self.min_normal - s, 0.0)
+        if self.max_normal is not None:
+            changes["max_normal"] = self.max_normal - s
+        if self.jacobian is not None:
+            bias = 0.0 if self.torque_bias is None else self.torque_bias
+            pushed = np.einsum("naj,na,n->j", self.jacobian[:, :3], self.normals, s)
+            changes["torque_bias"] = bias + pushed
+        shifted = replace(self, **changes)
+        # its own rows would lack least normal forces that the preload guarantees
+        shifted._keep({"limit_matrix": self.limit_matrix, "limit_size": self.limit_size})
+        shifted._keep({"limit_bound": self.limit_bound - self.limit_matrix @ push})
+        return shifted
 
     def _matrix(self) -> Array:
         moments = np.cross(self.positions[:, :, None], self.frames, axisa=1, axisb=1, axisc=1)
@@ -196,7 +249,7 @@ class Session:
 
     Attributes:
         name: within the track.
-        arrays: as in `FIELDS`.
+        arrays: as in `FIELDS` and `MARGIN_FIELDS`.
         references: by objective.
     """
 
@@ -327,7 +380,9 @@ def save(track: Track, folder: Path = SETS) -> None:
                 f"{session.name}/{objective}/{name}": array for name, array in fields.items()
             }
     about = {"schema": SCHEMA, **track.about, "sha256": track.digest()}
-    about |= {"sessions": [session.name for session in track.sessions], "arrays": FIELDS}
+    margins = any(MARGIN_FIELDS.keys() & session.arrays.keys() for session in track.sessions)
+    fields = FIELDS | MARGIN_FIELDS if margins else FIELDS
+    about |= {"sessions": [session.name for session in track.sessions], "arrays": fields}
     path = folder / f"{track.name}.npz"
     with replacing(path) as temporary:
         np.savez_compressed(temporary, **arrays)

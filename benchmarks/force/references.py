@@ -5,7 +5,7 @@ A reference is a force with multipliers that prove it optimal, or a witness that
 The numbers are the package's: conic for `sum`, newton for `phi`. In a track of many digits, and
 where doubles leave too large a gap, `exact` continues from the package's force with mpmath.
 
-`exact` solves hard contacts without limits in cone coordinates x = (u, o, t), u = friction *
+`exact` solves hard contacts without limits and margin in cone coordinates x = (u, o, t), u = friction *
 normal. It minimises
 
     phi     3 sum u + lambda sum (1 / u + 2 u / det x)
@@ -28,7 +28,7 @@ import numpy as np
 from mpmath import mp
 
 from benchmarks.force.bounds import Measure, Numbers
-from benchmarks.force.package import grasp_of
+from benchmarks.force.package import grasp_of, margin_of
 from benchmarks.force.problems import Array, Problem, Reference, Session
 from grasp_env.errors import GraspError, GraspWarning, InfeasibleWrenchError
 from grasp_env.force import ForceOptimizer
@@ -116,7 +116,7 @@ def _settled(problem: Problem, name: str, digits: str) -> Certified | str:
     """Return an answer, or a message."""
     try:
         answer = exact(problem, name) if digits == "exact" else package(problem, name)
-        if answer.gap > GAP and problem.width == 3 and not len(problem.limit_bound):
+        if answer.gap > GAP and _plain(problem):
             answer = exact(problem, name)
     except (GraspError, ArithmeticError) as error:
         return str(error)
@@ -138,13 +138,16 @@ def _reference(answers: list[Certified]) -> Reference:
 def package(problem: Problem, name: str) -> Certified:
     """Return the answer of `ForceOptimizer`, or raise its `GraspError`."""
     grasp, limits = grasp_of(problem)
+    margin = margin_of(problem)
     method = "conic" if name == "sum" else "newton"
 
     def answers() -> Iterator[tuple[Array, Array, bool]]:
         for tolerance in TOLERANCES:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", GraspWarning)  # sizes of a kilometre are intended
-                optimizer = ForceOptimizer(grasp, method=method, limits=limits, tolerance=tolerance)
+                optimizer = ForceOptimizer(
+                    grasp, method=method, limits=limits, tolerance=tolerance, margin=margin
+                )
             try:
                 solution = optimizer.solve(problem.wrench, contacts=problem.touching)
             except InfeasibleWrenchError as error:
@@ -184,8 +187,8 @@ def _best(problem: Problem, name: str, answers: Iterable[tuple[Array, Array, boo
 
 def exact(problem: Problem, name: str) -> Certified:
     """Return the answer in `DIGITS` digits, or raise an `ArithmeticError`."""
-    if problem.width != 3 or len(problem.limit_bound):
-        raise ArithmeticError("many digits are for hard contacts without limits")
+    if not _plain(problem):
+        raise ArithmeticError("many digits are for hard contacts without limits and margin")
     if name == "sum" and not problem.wrench.any():
         raise ArithmeticError("no wrench: the optimum of `sum` is zero")
     start = package(problem, "phi").force
@@ -209,6 +212,12 @@ def exact(problem: Problem, name: str) -> Certified:
         upper = m.upper(name, force, multipliers)
         (high, low), (first, rest) = map(split, (force, multipliers))
     return Certified(high, first, float(lower), float(upper), np.concatenate([low, rest]))
+
+
+def _plain(problem: Problem) -> bool:
+    """Return True for hard contacts without limits and margin."""
+    limited = len(problem.limit_bound) or problem.has_margin
+    return problem.width == 3 and not limited
 
 
 def exact_measure(problem: Problem) -> Measure:
