@@ -39,7 +39,9 @@ class Entrant(Protocol):
     An entrant may also have `objectives` (default: both), `division` ("closed", the default,
     "learned" or "open"), `note` (settings, for people), `training_seconds`, `iterations` (of the
     last solve), `solve_many(problems) -> list of answers`, which is timed, too, in mode persistent,
-    and `compiled() -> Compiled`, with which it is called and timed in C.
+    `compiled() -> Compiled`, with which it is called and timed in C, and `margins`: True if it
+    takes problems with a margin as they are. Without it, it receives the `shifted` problem, and its
+    force is shifted back, both untimed.
     """
 
     name: str
@@ -80,6 +82,8 @@ class CProblem(ctypes.Structure):
         "matrix",
         "limit_matrix",
         "limit_bound",
+        "friction_margin",
+        "preload",
     )
     _fields_ = (
         *((name, ctypes.c_int) for name in ("contacts", "width", "joints", "limits", "moved")),

@@ -24,6 +24,8 @@ typedef struct {
   const double* matrix;                     /* G (6, N k); balance is G f + w = 0 */
   const double* limit_matrix;               /* B (L, N k) */
   const double* limit_bound;                /* b (L,); B f <= b */
+  const double* friction_margin;            /* (1,); null, as preload, where the harness shifts */
+  const double* preload;                    /* (N,) */
 } force_problem;
 
 /* Returns 0: solved, 1: failed, 2: infeasible. start: null, or the last force (N k). force (N k)

@@ -261,9 +261,12 @@ def measured(
             try:
                 ready[name] = []
                 for session in sessions:
+                    solver = make()
                     problems = session.copies()[: effort.problems]
+                    if not getattr(solver, "margins", False):
+                        problems = [problem.shifted() for problem in problems]
                     task = Task(track.name, objective, mode, problems[0])
-                    ready[name].append(Timed(make(), task, problems))
+                    ready[name].append(Timed(solver, task, problems))
             except Exception as error:  # other entrants continue
                 del ready[name]
                 reason = str(error)
@@ -326,8 +329,12 @@ def _take_turns(ready: dict[str, list[Timed]], effort: Effort, tell: Callable[[s
 def _scored(session: Session, timed: Timed) -> Iterator[dict[str, Any]]:
     objective = timed.task.objective
     best = session.references[objective].value.tolist()
-    for m, (problem, answers) in enumerate(zip(session.problems, timed.answers, strict=False)):
-        scores = [score(problem, objective, best[m], answer) for answer in answers]
+    for m, (problem, given, answers) in enumerate(
+        zip(session.problems, timed.problems, timed.answers, strict=False)
+    ):
+        many = [timed.many[0][m]] if timed.many else []
+        moved = [_moved(answer, problem.shift - given.shift) for answer in (*answers, *many)]
+        scores = [score(problem, objective, best[m], answer) for answer in moved]
         row = {
             "event": session.name,
             "problem": m,
@@ -335,9 +342,18 @@ def _scored(session: Session, timed: Timed) -> Iterator[dict[str, Any]]:
             "iterations": timed.iterations[m],
             "calls": timed.calls,
         }
-        if timed.many and score(problem, objective, best[m], timed.many[0][m])["solved"]:
+        if timed.many and scores.pop()["solved"]:
             row["many_microseconds"] = 1e6 * timed.many[1]
         yield row | min(scores, key=lambda s: (s["solved"], s["solved_coarse"], s["proved"]))
+
+
+def _moved(answer: Parts, by: Array) -> Parts:
+    """Return an answer with its normal forces moved by (N,) [N]."""
+    if answer.force is None:
+        return answer
+    force = answer.force.reshape(len(by), -1).copy()
+    force[:, 0] += by
+    return answer._replace(force=force.reshape(-1))
 
 
 def _module(location: str) -> Any:

@@ -20,6 +20,11 @@ std::span<const double> numbers(const double* at, int count) {
   return at ? std::span(at, std::size_t(count)) : std::span<const double>();
 }
 
+grasp::Margin margin(const force_problem* p) {
+  return {.friction = p->friction_margin ? *p->friction_margin : 1.0,
+          .preload = numbers(p->preload, p->contacts)};
+}
+
 void* make(const force_problem* p, grasp::Options options, bool remembers = false) try {
   const int n = p->contacts;
   options.tolerance = TOLERANCE;
@@ -31,6 +36,7 @@ void* make(const force_problem* p, grasp::Options options, bool remembers = fals
                     .jacobian = numbers(p->jacobian, 6 * n * p->joints),
                     .torque_limit = numbers(p->torque_limit, p->joints),
                     .torque_bias = numbers(p->torque_bias, p->joints)};
+  problem.margin = margin(p);
   return new Session{grasp::ForceOptimizer(problem, options), remembers};
 } catch (const std::invalid_argument&) {
   return nullptr;
@@ -41,13 +47,15 @@ int solve(void* context, const force_problem* p, const double* start, double* fo
   auto& [optimizer, remembers] = *static_cast<Session*>(context);
   const int n = p->contacts;
   grasp::Request request{.wrench = p->wrench};
-  if (p->moved)
+  if (p->moved) {
     request.now = {.positions = numbers(p->positions, 3 * n),
                    .normals = numbers(p->normals, 3 * n),
                    .friction = numbers(p->friction, n),
                    .jacobian = numbers(p->jacobian, 6 * n * p->joints),
                    .torque_bias = numbers(p->torque_bias, p->joints),
                    .contacts = n < 64 ? p->touching : ~0ULL};
+    if (p->friction_margin || p->preload) request.now.margin = margin(p);
+  }
   if (!start)
     optimizer.forget();
   else if (remembers)

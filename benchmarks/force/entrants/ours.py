@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.force.build import library
 from benchmarks.force.entrant import Answer, Library, Task
-from benchmarks.force.package import grasp_of
+from benchmarks.force.package import grasp_of, margin_of
 from benchmarks.force.problems import Array, Problem
 from grasp_env.errors import InfeasibleWrenchError
 from grasp_env.force import BarzilaiBorweinStep, ForceOptimizer
@@ -26,12 +26,14 @@ class _FromPython:
     """`ForceOptimizer.solve`; changed contacts and limits are arguments of the call."""
 
     objectives: tuple[str, ...] = ("phi",)
+    margins = True
     options: ClassVar[dict[str, Any]] = {"method": "newton"}
     note = "ForceOptimizer.solve, certified gap 1e-6, certificate included"
 
     def setup(self, task: Task) -> None:
         first = task.first
         grasp, self._limits = grasp_of(first)
+        self._margin = margin_of(first)
         self._soft = first.torsional_friction is not None
         self._warm = task.mode == "warm" and task.objective == "phi"
         self._optimizer = self._make(grasp, "previous" if self._warm else None)
@@ -41,12 +43,14 @@ class _FromPython:
         self._loses = first.touching is not None
 
     def _make(self, grasp: Grasp, initial: Any) -> ForceOptimizer:
-        options = {"limits": self._limits, "tolerance": TOLERANCE, **self.options}
-        return ForceOptimizer(grasp, initial=initial, **options)
+        options = {"limits": self._limits, "margin": self._margin, **self.options}
+        return ForceOptimizer(grasp, initial=initial, tolerance=TOLERANCE, **options)
 
     def solve(self, problem: Problem, start: Array | None = None) -> Answer:
         names = self._moves if problem.moved else ()
         changes: dict[str, Any] = {name: getattr(problem, name) for name in names}
+        if self._margin is not None and problem.moved:
+            changes["margin"] = margin_of(problem)
         if self._loses:
             changes["contacts"] = problem.touching
         if self._warm and start is None:
@@ -119,6 +123,7 @@ class _Compiled(Library):
     """A function of ours.cpp, compiled once for this machine."""
 
     note = "the C++ front, -O3 -march=native, timed in C; certified gap 1e-6, certificate included"
+    margins = True
 
     def __init__(self) -> None:
         include = CORE / "include"
