@@ -116,18 +116,10 @@ def jumps(rng: np.random.Generator) -> Sessions:
 
 
 def roll(rng: np.random.Generator) -> Sessions:
-    """Contacts that move by up to 5 mm, over a surface of 30 mm radius."""
+    """Contacts that roll along a smooth path."""
     for n in PRESETS:
-        grasp = GRASPS.closed(rng, n)
-        count = 100
-        time = TICK * np.arange(count)[:, None, None]
-        rate = rng.uniform(0.5, 3.0, (n, 2))
-        phase = rng.uniform(0.0, 2.0 * np.pi, (n, 2))
-        moved = 0.0035 * np.sin(2.0 * np.pi * rate * time + phase)  # (count, N, 2) along o and t
-        steps = np.einsum("nak,mnk->mna", grasp.frames[:, :, 1:], moved)
-        normals = grasp.normals - steps / 0.03
-        rolling = contacts(grasp.positions + steps, normals, grasp.friction)
-        yield f"{n}", rolling | {"wrench": wave(rng, count)}
+        rolling = _rolling(rng, GRASPS.closed(rng, n), 100)
+        yield f"{n}", rolling | {"wrench": wave(rng, 100)}
 
 
 def lost(rng: np.random.Generator) -> Sessions:
@@ -167,6 +159,15 @@ def shared(rng: np.random.Generator) -> Sessions:
     """The same with shared joints; a hand without any has those of its two last fingers coupled."""
     for name, hand in recorded():
         yield name, _limited(rng, hand if shares_joints(hand["jacobian"]) else coupled(hand), 15)
+
+
+def margin(rng: np.random.Generator) -> Sessions:
+    """The hands of `own` and `shared`: contacts roll, and every problem has another margin."""
+    for name, hand in recorded():
+        rolling = _rolling(rng, grasp_of_hand(hand), 15)
+        share = short(rng.uniform(0.6, 1.0, 15))
+        preload = short(rng.uniform(0.0, 2.0, rolling["friction"].shape))
+        yield name, _limited(rng, hand, 15, **rolling, friction_margin=share, preload=preload)
 
 
 def soft(rng: np.random.Generator) -> Sessions:
@@ -275,6 +276,11 @@ TRACKS = {
         "contacts 1e-4 to 1e-6 m apart, closure lost by 1e-2 to 1e-4 less friction, friction from 0.05, all sizes",
         digits="exact",
     ),
+    "margin": Recipes(
+        margin,
+        "real hands within their torque limits; contacts roll, and forces keep a share of friction and preloads",
+        objectives=("sum",),
+    ),
 }
 """Tracks in the order of the reports, which is part of their seeds: new ones go to the end."""
 
@@ -300,11 +306,23 @@ def generate(name: str, seed: int) -> Track:
     return Track(name, [*sessions.values()], about)
 
 
-def _limited(rng: np.random.Generator, hand: dict[str, Any], count: int) -> Arrays:
+def _rolling(rng: np.random.Generator, grasp: Grasp, count: int) -> Arrays:
+    """Return contacts that roll by up to 5 mm over a surface of 30 mm radius."""
+    n = grasp.n_contacts
+    time = TICK * np.arange(count)[:, None, None]
+    rate = rng.uniform(0.5, 3.0, (n, 2))
+    phase = rng.uniform(0.0, 2.0 * np.pi, (n, 2))
+    moved = 0.0035 * np.sin(2.0 * np.pi * rate * time + phase)  # (count, N, 2) along o and t
+    steps = np.einsum("nak,mnk->mna", grasp.frames[:, :, 1:], moved)
+    normals = grasp.normals - steps / 0.03
+    return contacts(grasp.positions + steps, normals, grasp.friction)
+
+
+def _limited(rng: np.random.Generator, hand: dict[str, Any], count: int, **others: Array) -> Arrays:
     """Return a hand's arrays with loads of 0.3 to 0.95 of the largest in their direction."""
     grasp = grasp_of_hand(hand)
     limits = {name: short(hand[name])[None] for name in ("jacobian", "torque_limit", "torque_bias")}
-    arrays = arrays_of(grasp) | limits | {"wrench": ball(rng, count)}
+    arrays = arrays_of(grasp) | limits | others | {"wrench": ball(rng, count)}
     factors = _largest(arrays) * rng.uniform(0.3, 0.95, count)
     return arrays | {"wrench": short(arrays["wrench"] * factors[:, None])}
 
@@ -312,23 +330,25 @@ def _limited(rng: np.random.Generator, hand: dict[str, Any], count: int) -> Arra
 def _largest(arrays: Arrays) -> Array:
     """Return the largest feasible factor (M,) of each wrench, to 2 %."""
     out = []
-    for wrench in arrays["wrench"]:
+    for m, wrench in enumerate(arrays["wrench"]):
         low, high = 0.0, 1.0
-        while _depth(arrays, high * wrench) > 0.0 and high < 1e6:
+        while _depth(arrays, high * wrench, m) > 0.0 and high < 1e6:
             low, high = high, 4.0 * high
         while high - low > 0.02 * high:
             middle = 0.5 * (low + high)
-            low, high = (middle, high) if _depth(arrays, middle * wrench) > 0.0 else (low, middle)
+            deep = _depth(arrays, middle * wrench, m) > 0.0
+            low, high = (middle, high) if deep else (low, middle)
         out.append(low)
     return np.array(out)
 
 
-def _depth(arrays: Arrays, wrench: Array) -> float:
-    """Return the margin of the first problem's contacts with another wrench."""
-    first: Arrays = {name: array[0] for name, array in arrays.items()}
-    first["wrench"] = wrench
-    grasp, limits = grasp_of(Problem(**first))
-    return feasibility(grasp, wrench, limits).margin
+def _depth(arrays: Arrays, wrench: Array, m: int = 0) -> float:
+    """Return the depth of a problem's contacts (`feasibility`) with another wrench."""
+    fields: Arrays = {name: array[m if len(array) > 1 else 0] for name, array in arrays.items()}
+    fields["wrench"] = wrench
+    problem = Problem(**fields).shifted()
+    grasp, limits = grasp_of(problem)
+    return feasibility(grasp, problem.wrench, limits).margin
 
 
 def _closes_without(grasp: Grasp, contact: int) -> bool:
