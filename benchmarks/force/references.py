@@ -5,8 +5,8 @@ A reference is a force with multipliers that prove it optimal, or a witness that
 The numbers are the package's: conic for `sum`, newton for `phi`. In a track of many digits, and
 where doubles leave too large a gap, `exact` continues from the package's force with mpmath.
 
-`exact` solves hard contacts without limits and margin in cone coordinates x = (u, o, t), u = friction *
-normal. It minimises
+`exact` solves hard contacts without limits and margin in cone coordinates x = (u, o, t), u =
+friction * normal. It minimises
 
     phi     3 sum u + lambda sum (1 / u + 2 u / det x)
     sum     c . x - weight sum log det x,   weight -> 0
@@ -216,8 +216,7 @@ def exact(problem: Problem, name: str) -> Certified:
 
 def _plain(problem: Problem) -> bool:
     """Return True for hard contacts without limits and margin."""
-    limited = len(problem.limit_bound) or problem.has_margin
-    return problem.width == 3 and not limited
+    return problem.width == 3 and not (len(problem.limit_bound) or problem.has_margin)
 
 
 def exact_measure(problem: Problem) -> Measure:

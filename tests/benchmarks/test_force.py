@@ -8,16 +8,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from mpmath import mp
+from oracles import margin
 from oracles.phi import phi
 
 from benchmarks.force import check, generate, problems, references
 from benchmarks.force.__main__ import main
 from benchmarks.force.bounds import Measure
-from benchmarks.force.package import problem_of
-from benchmarks.force.problems import Problem, load, names
+from benchmarks.force.package import grasp_of, margin_of, problem_of
+from benchmarks.force.problems import SETS, Problem, load, names
 from benchmarks.force.score import parts_of, score
-from grasp_env.force import ForceLimits, ForceOptimizer
+from grasp_env.errors import InfeasibleWrenchError
+from grasp_env.force import ForceLimits, ForceOptimizer, Margin
 from grasp_env.grasp import Grasp, presets
+from grasp_env.inputs.files import digest
 
 TRACKS = names()
 LARGEST_DISTANCE = {"double": 1e-10, "exact": 3e-16}
@@ -35,6 +38,9 @@ MEASURE = Measure.of(PROBLEM)
 OPTIMUM = ForceOptimizer(presets.paper_cuboid(), method="conic", tolerance=1e-10).solve(WRENCH)
 FORCE = OPTIMUM.force.reshape(-1)
 BEST = OPTIMUM.objective
+PRELOAD = np.array([0.0, 1.0, 0.5, 2.0])
+KEPT = {"friction_margin": np.array(0.7), "preload": PRELOAD}
+NARROW = made(**KEPT)
 ONE_SIDE = np.tile(np.array(presets.paper_cuboid().frames)[0], (4, 1, 1))
 """Four fingers that push the same way: they cannot push back."""
 PULLED = made([0.0, 0.0, 1.0, 0.0, 0.0, 0.0], frames=ONE_SIDE)
@@ -55,6 +61,14 @@ def test_a_file_is_made_by_its_seed_and_its_references_hold(name):
     )
     # a part of the sessions; `validate` checks all of them
     assert check.check(replace(track, sessions=track.sessions[::4])) == []
+
+
+def test_the_first_tracks_keep_their_bytes(tmp_path):
+    """Times of earlier runs stay comparable, and a description that is written again is the same."""
+    files = [SETS / f"{name}{kind}" for name in TRACKS[:12] for kind in (".json", ".npz")]
+    assert digest(*(path.read_bytes() for path in files)).startswith("09dfe7c29df8c5c0")
+    problems.save(load("soft"), tmp_path)
+    assert (tmp_path / "soft.json").read_bytes() == (SETS / "soft.json").read_bytes()
 
 
 def test_sessions_of_one_description_are_told_apart(tmp_path):
@@ -110,7 +124,7 @@ def one_of(name: str, session: int = 0, m: int = 1) -> tuple[problems.Track, pro
 @pytest.mark.parametrize(
     "field", ["value", "lower", "upper", "other", "force", "multipliers", "rest"]
 )
-@pytest.mark.parametrize("name", ["roll", "own", "soft", "hard", "infeasible"])
+@pytest.mark.parametrize("name", ["roll", "own", "soft", "hard", "infeasible", "margin"])
 def test_a_falsified_reference_is_found(name, field):
     track, one = one_of(name)
     assert check.check(track) == []
@@ -201,7 +215,8 @@ def test_what_has_no_digits_is_told():
     soft = load("soft").sessions[0].problems[0]
     nothing = made(np.zeros(6))
     for problem, words in (
-        (soft, "hard contacts without limits"),
+        (soft, "hard contacts without limits and margin"),
+        (NARROW, "hard contacts without limits and margin"),
         (nothing, "no wrench"),
         (PULLED, "no force"),
     ):
@@ -294,6 +309,85 @@ def test_scores_by_hand():
     assert not score(lost, "sum", BEST, parts_of(lost, FORCE))["solved_coarse"]
 
 
+def test_a_force_is_judged_within_the_margin():
+    optimizer = ForceOptimizer(
+        presets.paper_cuboid(), method="conic", tolerance=1e-10, margin=Margin(0.7, PRELOAD)
+    )
+    kept = optimizer.solve(WRENCH)
+    right = parts_of(NARROW, (kept.force, kept.multipliers))
+    row = score(NARROW, "sum", kept.objective, right)
+    assert row["solved"]
+    assert row["proved"]
+    assert Measure.of(NARROW).objective("sum", right.force) == kept.force[:, 0].sum()
+    assert Measure.of(NARROW).inside(np.zeros(12))[::3].tolist() == PRELOAD.tolist()
+    # the optimum without a margin is inside the given cones alone
+    outer = score(NARROW, "sum", BEST, parts_of(NARROW, (FORCE, OPTIMUM.multipliers)))
+    assert MEASURE.violation(FORCE) < 1e-9
+    assert outer["gap"] < 1e-9
+    assert not any(outer[what] for what in ("proved", "solved_coarse"))
+    mu = np.repeat(NARROW.friction[:, None], 2, axis=1)
+    spinless = np.column_stack([OPTIMUM.force, np.zeros(4)])
+    missed = max(-margin.cone_margin(spinless, mu, 0.7, PRELOAD), (PRELOAD - FORCE[::3]).max())
+    assert outer["violation"] == pytest.approx(missed / FORCE[::3].max(), rel=1e-9)
+    soft = Measure.of(made(torsional_friction=np.full(4, 0.01), **KEPT))
+    force = np.tile([10.0, 0.0, 0.0, 0.0], (4, 1))
+    force[2, 3] = 3.0 * 0.7 * 0.01 * 9.5  # three times what the contact transmits
+    assert soft.violation(force) == pytest.approx(2.0 * 9.5 / 10.0)
+    # a contact that does not touch has no preload
+    lost = made(touching=np.array([True, True, True, False]), **KEPT)
+    assert lost.shift.tolist() == [0.0, 1.0, 0.5, 0.0]
+
+
+def test_a_shifted_problem_has_the_optimum_of_the_margin():
+    """Limits of all kinds, soft contacts, a lost one, and a preload above its least normal force."""
+    rng = np.random.default_rng(0)
+    limits = {
+        "min_normal": np.array([2.0, 0.7, 0.0, 3.0]),
+        "max_normal": np.array([15.0, np.inf, 5.3, 15.0]),
+        "jacobian": 0.05 * rng.standard_normal((4, 6, 5)),
+        "torque_limit": np.full(5, 2.0),
+        "torque_bias": 0.1 * rng.standard_normal(5),
+    }
+    soft = {"torsional_friction": np.full(4, 0.01), **limits, **KEPT}
+    for problem in (NARROW, made(**soft), made(touching=np.arange(4) != 3, **soft)):
+        shifted = problem.shifted()
+        whole = np.zeros((6, 4, 4))
+        whole[:, :, : problem.width] = problem.matrix.reshape(6, 4, -1)
+        rows = problem.limit_matrix.reshape(-1, 4, problem.width)
+        wrench = margin.shifted_wrench(whole, problem.wrench, PRELOAD)
+        np.testing.assert_allclose(shifted.wrench, wrench, atol=1e-15)
+        bound = margin.shifted_bound(rows, problem.limit_bound, PRELOAD)
+        np.testing.assert_allclose(shifted.limit_bound, bound, atol=1e-14)
+        assert shifted.limit_matrix.tolist() == problem.limit_matrix.tolist()
+        best = references.package(problem, "sum")
+        assert best.gap < 1e-9
+        # an optimizer takes the fields, entrants of other solvers the rows
+        grasp, fields = grasp_of(shifted)
+        assert margin_of(shifted) is None
+        optimizer = ForceOptimizer(grasp, method="conic", limits=fields, tolerance=1e-11)
+        inner = optimizer.solve(shifted.wrench, contacts=shifted.touching)
+        assert inner.objective + problem.shift.sum() == pytest.approx(best.value, rel=1e-9)
+        force = np.column_stack([inner.force, inner.torsion])[:, : problem.width].copy()
+        assert (shifted.limit_matrix @ force.ravel() <= shifted.limit_bound + 1e-9).all()
+        force[:, 0] += problem.shift
+        assert score(problem, "sum", best.value, parts_of(problem, force))["solved"]
+
+
+def test_a_witness_tells_what_no_margin_allows():
+    """Without the margin the same limits allow a force."""
+    most = {"max_normal": np.full(4, 1.2 * FORCE[::3].max())}
+    narrow = made(**most, **KEPT)
+    grasp, limits = grasp_of(narrow)
+    optimizer = ForceOptimizer(grasp, method="conic", limits=limits, margin=margin_of(narrow))
+    with pytest.raises(InfeasibleWrenchError) as error:
+        optimizer.solve(WRENCH)
+    proof = error.value.solution
+    witness = np.concatenate([proof.multipliers, proof.limit_multipliers])
+    assert Measure.of(narrow).witness(witness) > 0.0
+    assert Measure.of(made(**most)).witness(witness) <= 0.0
+    assert Measure.of(narrow.shifted()).witness(witness) > 0.0
+
+
 @pytest.mark.parametrize(
     "answer",
     [None, np.full(12, np.nan), np.zeros(11), (FORCE, None, "failed"), (FORCE, None, "no"), "text"],
@@ -337,19 +431,25 @@ def test_no_witness_against_a_feasible_wrench():
         -OPTIMUM.multipliers,
     ]
     for scale in (1e-6, 1.0, 1e6):
-        measure = Measure.of(made(scale * WRENCH))
-        assert max(measure.witness(twist) for twist in twists) <= 0.0
+        for margins in ({}, KEPT):
+            measure = Measure.of(made(scale * WRENCH, **margins))
+            assert max(measure.witness(twist) for twist in twists) <= 0.0
 
 
-def test_bounds_bracket_every_balanced_force():
+@pytest.mark.parametrize("problem", [PROBLEM, NARROW])
+def test_bounds_bracket_every_balanced_force(problem):
     rng = np.random.default_rng(0)
+    measure = Measure.of(problem)
     null = np.linalg.svd(PROBLEM.matrix)[2][6:]
-    middle = (
-        ForceOptimizer(presets.paper_cuboid(), barrier_weight=1.0).solve(WRENCH).force.reshape(-1)
-    )
+    middle = ForceOptimizer(
+        presets.paper_cuboid(), barrier_weight=1.0, margin=margin_of(problem)
+    ).solve(WRENCH)
     for objective in ("sum", "phi"):
-        forces = [middle + null.T @ rng.standard_normal(6) for _ in range(400)]
-        values = [MEASURE.objective(objective, f) for f in forces if MEASURE.violation(f) <= 0.0]
+        forces = [middle.force.ravel() + null.T @ rng.standard_normal(6) for _ in range(400)]
+        values = [measure.objective(objective, f) for f in forces if measure.violation(f) <= 0.0]
         assert len(values) > 20
-        drawn = [OPTIMUM.multipliers * (1.0 + 0.5 * rng.standard_normal(6)) for _ in range(200)]
-        assert max(MEASURE.lower(objective, each) for each in drawn) <= min(values)
+        best = references.package(problem, objective)
+        assert best.gap < 1e-9
+        assert best.value <= min(values)
+        drawn = [best.multipliers * (1.0 + 0.5 * rng.standard_normal(6)) for _ in range(200)]
+        assert max(measure.lower(objective, each) for each in drawn) <= min(values)

@@ -18,6 +18,7 @@ from benchmarks.force.entrant import Library, Task
 from benchmarks.force.entrants import ENTRANTS, qocogen
 from benchmarks.force.entrants.clarabel import Clarabel
 from benchmarks.force.entrants.forms import Dual, Primal
+from benchmarks.force.entrants.ours import ConicPython
 from benchmarks.force.package import problem_of
 from benchmarks.force.problems import Problem, load
 from grasp_env.force import ForceOptimizer
@@ -41,6 +42,7 @@ int echo(void *context, const force_problem *p, const double *start, double *for
     for (int k = 0; k < 6 * p->contacts * p->joints; ++k) sum += p->jacobian[k];
     for (int k = 0; k < 6 * p->contacts * p->width; ++k) sum += p->matrix[k];
     for (int k = 0; k < p->limits; ++k) sum += p->limit_bound[k];
+    if (p->preload) sum += *p->friction_margin + p->preload[p->contacts - 1];
     for (int k = 0; k < p->contacts * p->width; ++k) force[k] = start ? start[k] + 1.0 : sum;
     for (int k = 0; k < 6 + p->limits; ++k) multipliers[k] = p->touching + 100.0 * p->moved;
     if (iterations) *iterations = p->limits;
@@ -68,7 +70,8 @@ def test_c_sees_the_problem_and_is_timed_in_c(echo):
         "torque_limit": np.full(5, 2.0),
         "torque_bias": np.zeros(5),
     }
-    problem = made(touching=np.array([True, True, False, True]), moved=True, **torques)
+    margin = {"friction_margin": np.array(0.7), "preload": np.arange(4.0)}
+    problem = made(touching=np.array([True, True, False, True]), moved=True, **torques, **margin)
     library = Library(str(echo), "echo")
     with pytest.raises(NotImplementedError):
         library.setup(Task("", "phi", "persistent", problem))
@@ -80,6 +83,8 @@ def test_c_sees_the_problem_and_is_timed_in_c(echo):
         problem.jacobian,
         problem.matrix,
         problem.limit_bound,
+        problem.friction_margin,
+        problem.preload[-1:],
     )
     np.testing.assert_allclose(force, sum(array.sum() for array in arrays if array is not None))
     assert set(multipliers) == {0b1011 + 100.0}
@@ -168,6 +173,40 @@ def test_the_answers_of_all_passes_are_scored(factor):
         assert [row["solved"] for row in rows if row["method"] == "once"] == [solved]
 
 
+class Shifted(ConicPython):
+    """Our entrant without its own margin."""
+
+    margins = False
+
+    def solve(self, problem, start=None):
+        assert not problem.has_margin
+        return super().solve(problem, start)
+
+
+def test_a_margin_is_given_or_the_problem_is_shifted():
+    """Contacts and margins that move, and three times one problem, which is also solved at once."""
+    track = load("margin")
+    moving = track.sessions[12]
+    one = {name: array[:1] for name, array in moving.arrays.items()}
+    one["wrench"] = one["wrench"].repeat(3, axis=0)
+    optimum = problems.Reference(
+        **{
+            name: array[:1].repeat(3, axis=0)
+            for name, array in vars(moving.references["sum"]).items()
+            if array is not None
+        }
+    )
+    still = replace(moving, arrays=one, references={"sum": optimum})
+    track = replace(track, sessions=[moving, still])
+    rows, _ = run.measured(
+        [track], {"given": ConicPython, "shifted": Shifted}, run.Effort(rounds=1, seconds=0.0)
+    )
+    ran = [row for row in rows if row["method"] != "empty"]
+    assert len(ran) == 2 * 18
+    assert all(row["solved"] and row["proved"] for row in ran)
+    assert sum("many_microseconds" in row for row in ran) == 2 * 3
+
+
 SMALL = ["--tracks", "smooth", "soft", "--quick"]
 
 
@@ -214,8 +253,8 @@ def test_mistakes_are_told_in_one_line(words, said, capsys):
 
 @pytest.fixture(scope="module")
 def tracks():
-    """Three problems each: of contacts that move, within torque limits, and soft."""
-    return [load(name) for name in ("random", "own", "soft")]
+    """Three problems each: of contacts that move, within torque limits, soft, and with a margin."""
+    return [load(name) for name in ("random", "own", "soft", "margin")]
 
 
 @pytest.mark.parametrize("name", ENTRANTS)
