@@ -48,9 +48,16 @@ class Margin:
     preload: ArrayLike = 0.0
 
     def __post_init__(self) -> None:
-        share = number(self.friction, "the friction margin", ranges.FRICTION_MARGIN)
+        shares, within = ranges.FRICTION_MARGIN, ranges.LEAST_NORMAL_FORCE
+        if (
+            type(self.friction) is float
+            and type(self.preload) is float
+            and shares.low <= self.friction <= shares.high
+            and within.low <= self.preload <= within.high
+        ):
+            return  # a control loop's margin
+        share = number(self.friction, "the friction margin", shares)
         preload: Any = as_array(self.preload, None, "preload")
-        within = ranges.LEAST_NORMAL_FORCE
         fits = (preload >= within.low) & (preload <= within.high)
         if preload.ndim > 1 or preload.size == 0 or not fits.all():
             raise InvalidInputError(
@@ -74,7 +81,10 @@ class Margin:
 
     def __bool__(self) -> bool:
         """False for the margin that changes nothing."""
-        return self.friction < 1.0 or bool(np.any(self.preload))
+        preload: Any = self.preload
+        return self.friction < 1.0 or (
+            preload > 0.0 if type(preload) is float else bool(preload.any())
+        )
 
     def __str__(self) -> str:
         parts = []
@@ -155,8 +165,10 @@ def check_preload(
     margin: Margin, limits: ForceLimits | None, n_contacts: int, touching: Any = None
 ) -> None:
     """Raise an error if the preload of a contact that touches reaches its largest normal force."""
+    if type(margin.preload) is float and (limits is None or margin.preload == 0.0):
+        return
     preload = margin.preloads(n_contacts)
-    if limits is None or not preload.any():
+    if limits is None:
         return
     most = limits.checked(n_contacts).max_normal
     crossing = preload >= most if touching is None else (preload >= most) & touching

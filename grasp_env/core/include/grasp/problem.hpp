@@ -58,9 +58,10 @@ struct Changes {
   std::uint64_t contacts = ~std::uint64_t(0);
   std::optional<Margin> margin{};
 
-  bool empty() const {
+  // True if nothing changes but, perhaps, which contacts touch.
+  bool keeps_problem() const {
     return positions.empty() && normals.empty() && friction.empty() && jacobian.empty() &&
-           torque_bias.empty() && !margin && contacts == ~std::uint64_t(0);
+           torque_bias.empty() && !margin;
   }
 };
 

@@ -80,9 +80,12 @@ class CurrentContacts {
     home_preload = preload.each;
   }
 
-  // The bits of a mask that belong to contacts.
+  // The bits of a mask that belong to contacts; true if all of them are set.
   std::uint64_t touching(std::uint64_t mask) const {
     return home.count < 64 ? mask & ((std::uint64_t(1) << home.count) - 1) : mask;
+  }
+  bool all_touch(std::uint64_t mask) const {
+    return touching(mask) == touching(~std::uint64_t(0));
   }
   // Take over the contacts and limits of a call. Return CONVERGED, REFUSED, or RANK_LOST if no
   // contact makes a wrench.
@@ -98,8 +101,8 @@ class CurrentContacts {
         changes.positions.empty() ? home.positions.data() : changes.positions.data();
     const double* normals = changes.normals.empty() ? home.normals.data() : changes.normals.data();
     const std::uint64_t mask = touching(changes.contacts);
-    const bool all_touch = mask == touching(~std::uint64_t(0));
-    if (all_touch) {
+    const bool whole = all_touch(mask);
+    if (whole) {
       for (int i = 0; i < all; ++i) chosen[i] = i;
       now.select(home, {chosen.data(), std::size_t(all)});
     } else {
@@ -120,7 +123,7 @@ class CurrentContacts {
       if (size != 1 && size != std::size_t(all) && size != 2 * std::size_t(all)) return REFUSED;
       for (std::size_t j = 0; j < size; ++j) {
         const bool touches =
-            all_touch || size == 1 || mask >> (size == std::size_t(all) ? j : j / 2) & 1;
+            whole || size == 1 || mask >> (size == std::size_t(all) ? j : j / 2) & 1;
         if (touches && !(changes.friction[j] >= 0.0 && changes.friction[j] <= LARGEST))
           return REFUSED;
       }

@@ -117,7 +117,8 @@ template <class V, int B> class LaneEngine final : public Engine {
     if (code != CONVERGED) return code;
     if (!is_valid_wrench(call.request.wrench)) return REFUSED;
     load_wrench(call);
-    return is_valid_wrench(call.wrench.data()) ? CONVERGED : REFUSED;
+    const bool shifted = on_.current.preload.any;
+    return !shifted || is_valid_wrench(call.wrench.data()) ? CONVERGED : REFUSED;
   }
   // Take over the wrench of a call for the current contacts.
   void load_wrench(CallState& call) const {

@@ -103,12 +103,10 @@ template <class V, int B> class Solvers {
 
   // Load the contacts and limits of a call. Return CONVERGED if the solvers can be used.
   Code place(const Changes& now) {
-    constexpr std::uint64_t ALL = ~std::uint64_t(0);
-    Changes changed = now;
-    if (current.touching(now.contacts) == current.touching(ALL)) changed.contacts = ALL;
-    if (changed.empty() && placement.home) return placement.code;
-    placement.home = changed.empty();
-    return placement.code = load(changed);
+    const bool home = now.keeps_problem() && current.all_touch(now.contacts);
+    if (home && placement.home) return placement.code;
+    placement.home = home;
+    return placement.code = load(now);
   }
   // Load the contacts and limits of the problem, with space for all of them.
   void place_home() {
