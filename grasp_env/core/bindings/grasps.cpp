@@ -96,8 +96,7 @@ void solve_contacts(nb::list contacts, nb::handle weights, nb::handle first,
     preload.add_to(record.force(), int(count));
     preload.add_to(record.initial_force(), int(count));
     std::copy_n(at.frames.data(), 9 * count, record.frames());
-    for (int i = 0; i < int(count); ++i)
-      record.friction_used()[i] = friction_used(at, margin.friction, record, i);
+    write_friction_used(at, margin.friction, record, record.friction_used());
   });
 }
 

@@ -79,19 +79,25 @@ class Preload {
   }
 };
 
-// The share of friction that the force and torsion of contact i use: 1 on the cone, inf if there is
-// no normal force for what is tangential. contacts: those of the record, with a share `margin` of
-// the friction that counts.
-inline double friction_used(const Contacts& contacts, double margin, const Record& record, int i) {
-  const double* force = record.force() + 3 * i;
-  const double* scale = &contacts.scale[3 * i];
-  const double gamma = contacts.torsion[i];
-  const double o = scale[1] * force[1];
-  const double t = scale[2] * force[2];
+// Write the share of friction (N,) that each force and torsion of a record uses: 1 on the cone, inf
+// if there is no normal force for what is tangential. contacts: those of the record, with a share
+// `margin` of the friction that counts.
+inline void write_friction_used(const Contacts& contacts, double margin, const Record& record,
+                                double* __restrict used) {
+  const double* __restrict scale = contacts.scale.data();
+  const double* __restrict force = record.force();
   const auto part = [](double of, double all) { return of > 0.0 ? of / std::max(all, 0.0) : 0.0; };
-  double used = part(std::sqrt(o * o + t * t), scale[0] * force[0]);
-  if (gamma > 0.0) used = std::max(used, part(std::abs(record.torsion()[i]), gamma * force[0]));
-  return margin * used;
+  for (int i = 0; i < contacts.count; ++i) {
+    const double o = scale[3 * i + 1] * force[3 * i + 1];
+    const double t = scale[3 * i + 2] * force[3 * i + 2];
+    used[i] = margin * part(std::sqrt(o * o + t * t), scale[3 * i] * force[3 * i]);
+  }
+  if (!contacts.soft()) return;
+  for (int i = 0; i < contacts.count; ++i) {
+    const double most = contacts.torsion[i] * force[3 * i];
+    const double turn = std::abs(record.torsion()[i]);
+    if (contacts.torsion[i] > 0.0) used[i] = std::max(used[i], margin * part(turn, most));
+  }
 }
 
 }  // namespace grasp

@@ -125,11 +125,10 @@ template <class V, int B> class AnswerWriter {
     const Contacts& now = current_.now;
     current_.preload.add_to(from.force(), now.count);
     current_.preload.add_to(from.initial_force(), now.count);
-    const auto used = [&](int i) { return friction_used(now, current_.friction_margin, from, i); };
     if (now.count == all) {
       std::copy_n(from.force(), 7 * all, out.force());
       std::copy_n(now.frames.data(), 9 * all, out.frames());
-      for (int i = 0; i < all; ++i) out.friction_used()[i] = used(i);
+      write_friction_used(now, current_.friction_margin, from, out.friction_used());
       return;
     }
     std::fill(out.force(), out.frames() + 9 * all, 0.0);
@@ -140,8 +139,10 @@ template <class V, int B> class AnswerWriter {
       std::copy_n(from.initial_force() + 3 * i, 3, out.initial_force() + 3 * to);
       out.torsion()[to] = from.torsion()[i];
       std::copy_n(&now.frames[9 * i], 9, out.frames() + 9 * to);
-      out.friction_used()[to] = used(i);
     }
+    double* used = from.initial_force();  // copied above
+    write_friction_used(now, current_.friction_margin, from, used);
+    for (int i = 0; i < now.count; ++i) out.friction_used()[current_.chosen[i]] = used[i];
   }
   void add_offset_to_trace(int iterations) const {
     if (call_.offset == 0.0) return;

@@ -84,9 +84,7 @@ class CurrentContacts {
   std::uint64_t touching(std::uint64_t mask) const {
     return home.count < 64 ? mask & ((std::uint64_t(1) << home.count) - 1) : mask;
   }
-  bool all_touch(std::uint64_t mask) const {
-    return touching(mask) == touching(~std::uint64_t(0));
-  }
+  bool all_touch(std::uint64_t mask) const { return touching(mask) == touching(~std::uint64_t(0)); }
   // Take over the contacts and limits of a call. Return CONVERGED, REFUSED, or RANK_LOST if no
   // contact makes a wrench.
   Code load_call(const Changes& changes) {
