@@ -259,8 +259,11 @@ class ForceOptimizer:
         """
         Return a solution, whose code says whether it holds a force; NotImplemented if wrench or changes are not
         C-contiguous float64 arrays of the right shapes. changes: (positions, normals, friction, jacobian, torque_bias,
-        contacts), None where nothing changes.
+        contacts, margin), None where nothing changes.
         """
+
+    def solve_call(self, wrench: object, changes: tuple | None, /) -> object:
+        """`solve` without a request."""
 
     def start(self, wrench: object, changes: object | None, request: Request) -> object:
         """

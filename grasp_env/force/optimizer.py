@@ -228,7 +228,7 @@ class ForceOptimizer:
             self.core: Any = core.ForceOptimizer(problem, settings, ForceSolution, self.names)
         except ValueError as error:
             raise UnsupportedProblemError(f"{error}; got method {options.method!r}") from None
-        self._solve = self.core.solve
+        self._solve_call = self.core.solve_call
         self._count = grasp.n_contacts
         if isinstance(initial, str) and initial in FROM_BASIS:
             OfflineBasis.of(self._narrowed, options.objective)  # raises if the grasp has none
@@ -299,7 +299,7 @@ class ForceOptimizer:
         """Descriptions of the entries of a solution's `limit_multipliers`."""
         return () if self.limits is None else self.limits.labels(self._count)
 
-    def solve(
+    def solve(  # arguments that Python takes by name alone would cost 15 ns each
         self,
         wrench: ArrayLike,
         positions: ArrayLike | None = None,
@@ -309,16 +309,16 @@ class ForceOptimizer:
         torque_bias: ArrayLike | None = None,
         contacts: ArrayLike | None = None,
         margin: Margin | float | None = None,
-        *,
         initial: Initial | None = None,
         optimum: float | None = None,
         trace: bool = False,
     ) -> ForceSolution:
         """Return the optimal grasp force that balances `wrench`.
 
-        Arguments that are left out have the values of the constructor. Give wrench, positions,
-        normals and Jacobian in one frame. If you leave out positions, normals or Jacobian, this
-        must be the constructor's frame. C-contiguous float64 arrays are read without a copy.
+        Arguments that are left out have the values of the constructor. Name those that you
+        give. Give wrench, positions, normals and Jacobian in one frame. If you leave out positions,
+        normals or Jacobian, this must be the constructor's frame. C-contiguous float64 arrays are
+        read without a copy.
 
         Args:
             wrench: (6,) external wrench, as in `optimize_force`.
@@ -339,8 +339,8 @@ class ForceOptimizer:
         Raises:
             InvalidInputError: wrong shapes, values that are not finite or out of range.
             InfeasibleWrenchError: no force strictly inside the cones, the margin and the limits
-                balances the wrench; the error contains the proof. Two hard contacts, for example, do not balance
-                a moment about the line through them.
+                balances the wrench; the error contains the proof. Two hard contacts, for example,
+                do not balance a moment about the line through them.
             RankDeficientGraspError: no contact touches; or a flow, and contacts of rank below 6.
             InfeasibleStartError: the start is not balanced or not strictly inside the cones, or its
                 rule fails.
@@ -348,9 +348,9 @@ class ForceOptimizer:
         """
         arrays = (positions, normals, friction, jacobian, torque_bias, contacts, margin)
         if initial is None and optimum is None and trace is False and self.core_finds_start:
-            solution = self._solve(wrench, arrays, None)
+            solution = self._solve_call(wrench, arrays)
             if solution is NotImplemented:  # an argument cannot be read in place
-                solution = self._solve(*self._checked(wrench, arrays), None)
+                solution = self._solve_call(*self._checked(wrench, arrays))
             if solution:
                 return solution
             start = OWN_START
@@ -386,7 +386,7 @@ class ForceOptimizer:
             )
         start = self._start(load, call, initial)
         values = np.full(self.max_iterations + 1, np.nan) if trace else None
-        solution = self._solve(load, call, start.request(known, values))
+        solution = self.core.solve(load, call, start.request(known, values))
         solution._names = self.names.of_start(start.start, start.name)
         if solution.has_force:
             start.mark(solution._record)
@@ -578,7 +578,9 @@ class ForceOptimizer:
         return rank_error(grasp.rank, grasp.n_contacts, hint if self.options.flows else "")
 
     def __getstate__(self) -> dict[str, Any]:
-        kept = {name: value for name, value in vars(self).items() if name not in ("core", "_solve")}
+        kept = {
+            name: value for name, value in vars(self).items() if name not in ("core", "_solve_call")
+        }
         return kept | {"_grasp": self.grasp, "previous": self.previous}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
