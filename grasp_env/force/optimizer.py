@@ -419,7 +419,7 @@ class ForceOptimizer:
         return self._start_and_replaced(wrench, initial, *arrays)[0]
 
     def _start_and_replaced(
-        self, wrench: ArrayLike, initial: Initial | None, *arrays: ArrayLike | None
+        self, wrench: ArrayLike, initial: Initial | None, *arrays: Any
     ) -> tuple[ContactForces, bool]:
         """Return `start`, and True if another start replaced the requested one."""
         if self.method == "conic":

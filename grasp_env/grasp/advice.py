@@ -51,7 +51,8 @@ def advise(
         >>> advise(good, wrench=[0, 0, -5, 0, 0, 0], margin=0.75)
         []
         >>> print(*advise(good, wrench=[0, 0, -5, 0, 0, 0]))
-        the optimum without a margin uses 0.969 of the friction at contact 1: it slips there if ...
+        the optimum without a margin uses 0.967 of the friction at contact 0: it slips
+        there if the friction is 3.3% lower than given, ...
         >>> print(*advise(Grasp.from_contacts(good.positions, -good.normals, 0.5)))
         all 3 normals point away from the centre of the contacts: normals must point INTO the
         object; ...

@@ -38,7 +38,7 @@ IN_PYTHON = {
 """Names that differ in Python."""
 CPP_ALONE = {
     "Options.gap",
-    "Changes.empty",
+    "Changes.keeps_problem",
     "Request.now",
     "Summary.joints",
     "Summary.limits",

@@ -341,7 +341,9 @@ def start_info(key: str) -> StartEntry:
 
 def as_solution(grasp: Grasp, force: ContactForces) -> ForceSolution:
     """Return a force (N, 3) as a previous solution; starts read only the force and the frames."""
-    record = np.concatenate([np.zeros(record_size(len(force))), grasp.frames.reshape(-1)])
+    unknown = np.full(len(force), np.nan)  # share of the friction
+    head = np.zeros(record_size(len(force)))
+    record = np.concatenate([head, grasp.frames.reshape(-1), unknown])
     record[CONTACTS] = len(force)
     record[FORCE : FORCE + force.size] = force.reshape(-1)
     return ForceSolution(record, Names("carried", "previous"))
