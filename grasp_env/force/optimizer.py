@@ -6,6 +6,7 @@ The file is long because the class documents every argument and shares the state
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -180,7 +181,6 @@ class ForceOptimizer:
         grasp = self.grasp
         options = self.options
         initial = self._initial
-        self._narrowed = self._margin.narrowed(grasp)
         start, model, remembers = 0, None, False
         self.names = names_of(initial, options)
         if isinstance(initial, ForceSolution):
@@ -246,6 +246,11 @@ class ForceOptimizer:
     def margin(self) -> Margin:
         """How far forces stay inside the friction cones."""
         return self._margin
+
+    @cached_property
+    def _narrowed(self) -> Grasp:
+        """The contacts with the share of friction of the margin."""
+        return self._margin.narrowed(self.grasp)
 
     @property
     def initial(self) -> Initial | None:
@@ -466,7 +471,7 @@ class ForceOptimizer:
         self._grasp = grasp
         self.limits = self._limits_of(call)
         self._margin = self._margin_of(call)
-        self._narrowed = self._margin.narrowed(grasp)
+        vars(self).pop("_narrowed", None)
 
     def _arrays(self, *arrays: Any) -> Call:
         jacobian: Any = None if self.limits is None else self.limits.jacobian

@@ -14,6 +14,7 @@ from grasp_env.errors import InfeasibleStartError, InvalidInputError
 from grasp_env.force import (
     BarzilaiBorweinStep,
     ForceOptimizer,
+    Margin,
     Objective,
     OfflineBasis,
     optimize_force,
@@ -240,6 +241,28 @@ def test_what_a_model_does_not_know_is_an_error(rule):
     for load in ([1.0, 2.0], "wrench", None, np.zeros(7)):
         with pytest.raises(InvalidInputError, match="wrench"):
             rule.covers(grasp, load)
+
+
+def test_a_margin_is_another_friction_and_another_wrench(rule):
+    """The network predicts for the shifted problem, which training covers down to a share of 0.8."""
+    grasp = presets.paper_cuboid()
+    inner = grasp.with_friction(0.8 * 0.4)
+    margin = Margin(0.8, 0.5)
+    optimizer = ForceOptimizer(grasp, method="reduced_flow", initial=rule, margin=margin)
+    other = ForceOptimizer(inner, method="reduced_flow", initial=rule)
+    paper = ForceOptimizer(grasp, method="reduced_flow", margin=margin)
+    iterations, of_paper = [], []
+    for load in wrench.sample_ball(np.random.default_rng(8), 40):
+        solution = optimizer.solve(load)
+        expected = other.solve(load + grasp.matrix[:, ::3] @ np.full(4, 0.5))
+        assert solution.initial == expected.initial == rule.name
+        moved = solution.initial_force - [0.5, 0.0, 0.0]
+        np.testing.assert_allclose(moved, expected.initial_force, rtol=1e-9, atol=1e-9)
+        iterations.append(solution.iterations)
+        of_paper.append(paper.solve(load).iterations)
+    assert np.median(iterations) <= 3 < 0.2 * np.median(of_paper)
+    far = ForceOptimizer(grasp, initial=rule, margin=0.4).solve(W)
+    assert far.initial == f"{rule.name} (outside its training range)"
 
 
 def test_pickle_keeps_every_bit(rule):
