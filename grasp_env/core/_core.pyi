@@ -326,16 +326,16 @@ class ForceOptimizer:
 def newton_grasps(contacts: list, weights: object, first: object, stop: tuple[float, int], wrenches: object, records: object, margin: object | None = None) -> None:
     """
     Solve wrenches on U placed contacts, with `weights` (N, 2) for all; wrenches first[u] to first[u + 1] - 1 belong to
-    contacts u. stop: relative gap, and largest number of steps. margin: as for `Problem`. Writes complete rows of solutions;
-    releases the GIL.
+    contacts u. stop: relative gap, and largest number of steps. margin: as for `Problem`.
+    Writes complete rows of solutions; releases the GIL.
     REFUSED: soft contacts, or no force closure.
     """
 
 def conic_grasps(contacts: list, weights: object, first: object, stop: tuple[float, int], wrenches: object, records: object, margin: object | None = None) -> None:
     """
     Solve wrenches on U placed contacts, with `weights` (N, 2) for all; wrenches first[u] to first[u + 1] - 1 belong to
-    contacts u. stop: relative gap, and largest number of steps. margin: as for `Problem`. Writes complete rows of solutions;
-    releases the GIL.
+    contacts u. stop: relative gap, and largest number of steps. margin: as for `Problem`.
+    Writes complete rows of solutions; releases the GIL.
     REFUSED: soft contacts, or no force closure.
     """
 

@@ -106,10 +106,8 @@ void bind_grasps(nb::module_& m) {
   const char* arguments =
       "Solve wrenches on U placed contacts, with `weights` (N, 2) for all; wrenches first[u] to "
       "first[u + 1] - 1 belong to\n"
-      "contacts u. stop: relative gap, and largest number of steps. margin: as for `Problem`. "
-      "Writes "
-      "complete rows of solutions;\n"
-      "releases the GIL.\n"
+      "contacts u. stop: relative gap, and largest number of steps. margin: as for `Problem`.\n"
+      "Writes complete rows of solutions; releases the GIL.\n"
       "REFUSED: soft contacts, or no force closure.";
   const auto bind = [&](const char* name, auto solve) {
     m.def(name, solve, "contacts"_a, "weights"_a, "first"_a, "stop"_a, "wrenches"_a, "records"_a,
