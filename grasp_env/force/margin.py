@@ -111,15 +111,8 @@ class Margin:
         if self.friction == 1.0:
             return grasp
         models = grasp.models
-        gamma = models.torsional_friction
-        tangents = grasp.contacts.tangents
-        return Grasp.from_contacts(
-            grasp.positions,
-            grasp.normals,
-            self.friction * models.friction,
-            contact_model=models.names,
-            torsional_friction=self.friction * gamma if gamma.any() else None,
-            tangents=tangents if len(tangents) else None,
+        return grasp.with_friction(
+            self.friction * models.friction, self.friction * models.torsional_friction
         )
 
 

@@ -334,9 +334,16 @@ class Grasp:
             np.linalg.svd(self.unit_frame @ (self.matrix * sent.reshape(-1)), compute_uv=False)
         )
 
-    def with_friction(self, friction: ArrayLike) -> Grasp:
-        """Return the same contacts with other friction coefficients, as in `from_contacts`."""
-        gamma = self.models.torsional_friction
+    def with_friction(
+        self, friction: ArrayLike, torsional_friction: ArrayLike | None = None
+    ) -> Grasp:
+        """Return the same contacts with other coefficients, as in `from_contacts`.
+
+        `friction` replaces the tangential coefficients. `torsional_friction` replaces those of soft
+        contacts; None keeps them.
+        """
+        kept = self.models.torsional_friction
+        gamma = kept if torsional_friction is None else np.asarray(torsional_friction)
         return Grasp.from_contacts(
             self.positions,
             self.normals,

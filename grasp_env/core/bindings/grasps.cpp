@@ -35,7 +35,7 @@ std::vector<Contacts> narrow(std::vector<const Contacts*>& placed, double share)
   return narrowed;
 }
 
-template <Solve solve, Start start>
+template <Solve solve, Method method, Start start>
 void solve_contacts(nb::list contacts, nb::handle weights, nb::handle first,
                     std::pair<double, int> stop, nb::handle wrenches, nb::handle records,
                     nb::handle given_margin) {
@@ -55,10 +55,7 @@ void solve_contacts(nb::list contacts, nb::handle weights, nb::handle first,
       throw nb::type_error("contacts must have N contacts each");
     placed.push_back(one);
   }
-  std::optional<Margin> kept;
-  if (!read_margin(given_margin.ptr(), int(count), kept))
-    throw nb::type_error("expected a margin with friction and preload");
-  const Margin margin = kept.value_or(Margin{});
+  const Margin margin = margin_of(given_margin, int(count));
   const int size = record_size(int(count));
   const int whole = record_size(int(count), 0, 0);
   nb::gil_scoped_release free;
@@ -88,8 +85,7 @@ void solve_contacts(nb::list contacts, nb::handle weights, nb::handle first,
     std::copy_n(&loads.data()[6 * k], 6, s.wrench.begin());
     std::copy_n(&shifted[6 * k], 6, s.wrench_with_preload.begin());
     const double offset = preload.cost(int(count), [&](int i) {
-      const double omega = omega_lambda.data()[2 * i];
-      return start == Start::central ? omega : cost_of_normal_force(omega, at.scale[3 * i]);
+      return cost_of_normal_force(method, omega_lambda.data()[2 * i], at.scale[3 * i]);
     });
     s.objective += offset;
     s.lower_bound += offset;
@@ -113,6 +109,6 @@ void bind_grasps(nb::module_& m) {
     m.def(name, solve, "contacts"_a, "weights"_a, "first"_a, "stop"_a, "wrenches"_a, "records"_a,
           "margin"_a.none() = nb::none(), arguments);
   };
-  bind("newton_grasps", &solve_contacts<newton_grasps, Start::internal_force>);
-  bind("conic_grasps", &solve_contacts<conic_grasps, Start::central>);
+  bind("newton_grasps", &solve_contacts<newton_grasps, Method::newton, Start::internal_force>);
+  bind("conic_grasps", &solve_contacts<conic_grasps, Method::conic, Start::central>);
 }

@@ -245,6 +245,13 @@ bool read_margin(PyObject* object, int count, std::optional<grasp::Margin>& to) 
   return true;
 }
 
+grasp::Margin margin_of(nb::handle margin, int count) {
+  std::optional<grasp::Margin> read;
+  if (!read_margin(margin.ptr(), count, read))
+    throw nb::type_error("expected a margin with friction and preload");
+  return read.value_or(grasp::Margin{});
+}
+
 const grasp::ForceOptimizer& optimizer_of(nb::handle optimizer) {
   return nb::cast<const ForceOptimizer&>(optimizer);
 }

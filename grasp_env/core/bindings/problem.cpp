@@ -47,13 +47,9 @@ void make_problem(OwnProblem* self, const Contacts& contacts, nb::handle weights
     problem.jacobian = copied(arrays[2], contacts.count, -1, problem.torque_limit.size());
     problem.torque_bias = copied(arrays[4], problem.torque_limit.size());
   }
-  std::optional<Margin> kept;
-  if (!read_margin(margin.ptr(), contacts.count, kept))
-    throw nb::type_error("expected a margin with friction and preload");
-  if (kept) {
-    problem.friction_margin = kept->friction;
-    for (int i = 0; i < contacts.count; ++i) problem.preload.push_back(kept->preload[i]);
-  }
+  const Margin read = margin_of(margin, contacts.count);
+  problem.friction_margin = read.friction;
+  for (int i = 0; i < contacts.count; ++i) problem.preload.push_back(read.preload[i]);
   new (self) OwnProblem(std::move(problem));
 }
 

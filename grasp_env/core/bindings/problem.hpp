@@ -22,6 +22,8 @@ struct OwnProblem {
 // Read a margin in place: None, the share of friction as a float, or an object with `friction`, a
 // float, and `preload`, a float or a float64 array (N,). Return false if it cannot be read.
 bool read_margin(PyObject* object, int count, std::optional<grasp::Margin>& to);
+// The same, or no margin for None; throws a TypeError for what cannot be read.
+grasp::Margin margin_of(nb::handle margin, int count);
 
 // `grasp::Request` without wrench and changes; keeps its arrays alive.
 struct OwnRequest {

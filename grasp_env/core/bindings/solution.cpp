@@ -101,33 +101,39 @@ PyObject* n_contacts(PyObject* self, void*) { return PyLong_FromSsize_t(count(se
 PyObject* code(PyObject* self, void*) { return PyLong_FromLong(long(*row(self))); }
 int is_true(PyObject* self) { return record(self).has_force(); }
 PyObject* has_force(PyObject* self, void*) { return PyBool_FromLong(record(self).has_force()); }
-PyObject* forces(PyObject* self, Py_ssize_t rows_before) {
-  const npy_intp shape[] = {count(self), 3};
-  return view(self, SUMMARY + 3 * rows_before, 2, shape);
+// Numbers of the record from `first` on.
+PyObject* view(PyObject* self, const double* first, int axes, const npy_intp* shape) {
+  return view(self, first - row(self), axes, shape);
 }
-PyObject* force(PyObject* self, void*) { return forces(self, 0); }
-PyObject* initial_force(PyObject* self, void*) { return forces(self, count(self)); }
+PyObject* forces(PyObject* self, const double* first) {
+  const npy_intp shape[] = {count(self), 3};
+  return view(self, first, 2, shape);
+}
+PyObject* force(PyObject* self, void*) { return forces(self, record(self).force()); }
+PyObject* initial_force(PyObject* self, void*) {
+  return forces(self, record(self).initial_force());
+}
 PyObject* torsion(PyObject* self, void*) {
   const npy_intp many = count(self);
-  return view(self, SUMMARY + 6 * many, 1, &many);
+  return view(self, record(self).torsion(), 1, &many);
 }
 
 PyObject* frames(PyObject* self, void*) {
   const npy_intp shape[] = {count(self), 3, 3};
-  return view(self, SUMMARY + 7 * count(self), 3, shape);
+  return view(self, record(self).frames(), 3, shape);
 }
 PyObject* friction_used(PyObject* self, void*) {
   const npy_intp many = count(self);
-  return view(self, SUMMARY + 16 * many, 1, &many);
+  return view(self, record(self).friction_used(), 1, &many);
 }
 PyObject* torques(PyObject* self, void*) {
   const npy_intp many = npy_intp(record(self).summary().joints);
-  return view(self, SUMMARY + 17 * count(self), 1, &many);
+  return view(self, record(self).torques(), 1, &many);
 }
 PyObject* limit_multipliers(PyObject* self, void*) {
   const grasp::Summary& s = record(self).summary();
   const npy_intp many = int(s.code) == grasp::LIMITS_EXCEEDED ? 0 : npy_intp(s.limits);
-  return view(self, SUMMARY + 17 * count(self) + npy_intp(s.joints), 1, &many);
+  return view(self, record(self).limit_multipliers(), 1, &many);
 }
 PyObject* object_force(PyObject* self, void*) {
   const npy_intp shape[] = {count(self), 3};

@@ -30,6 +30,11 @@ struct Problem {
   Margin margin{};
 };
 
+// Cost of a newton of normal force in Phi or in the sum of `conic`. scale: u for that newton.
+inline double cost_of_normal_force(Method method, double omega, double scale) {
+  return method == Method::conic ? omega : squeezing_cost(omega) * scale;
+}
+
 struct Options {
   Method method = Method::newton;
   Criterion criterion = Criterion::sum;  // of omega times normal force, for Method::conic

@@ -86,8 +86,7 @@ template <class V, int B> class GivenForce {
   std::vector<double>& torsion() { return on_.given.torsion; }
   void load() {
     on_.current.preload.subtract_from(force().data(), on_.current.now.count);
-    on_.newton.cones.load_force(force().data(), on_.newton.x);
-    on_.newton.cones.reset_unused_lanes(on_.newton.x);
+    on_.newton.cones.load_point(force().data(), on_.newton.x);
   }
 };
 

@@ -39,12 +39,11 @@ template <class V, int B> class LaneEngine final : public Engine {
       return;
     }
     std::vector<double> space(record_size(home().count) * count);
-    std::vector<double> loads(wrenches, wrenches + 6 * count);
     const CurrentContacts& current = on_.current;
-    for (std::ptrdiff_t k = 0; k < count && current.preload.any; ++k) {
-      std::ranges::copy(current.preload.added_to(wrenches + 6 * k, current.now), &loads[6 * k]);
-    }
-    const SolveBatch many{count, loads.data(), space.data()};
+    std::vector<double> shifted(current.preload.any ? 6 * count : 0);
+    for (std::size_t j = 0; j < shifted.size(); j += 6)
+      std::ranges::copy(current.preload.added_to(wrenches + j, current.now), &shifted[j]);
+    const SolveBatch many{count, shifted.empty() ? wrenches : shifted.data(), space.data()};
     if (start == Start::internal_force)
       newton_many(on_.newton, on_.internal_force(), stop(), many);
     else
@@ -126,10 +125,9 @@ template <class V, int B> class LaneEngine final : public Engine {
     const Contacts& now = current.now;
     call.wrench = current.preload.added_to(call.request.wrench, now);
     call.w = on_.newton.cones.unit.of(call.wrench.data());
-    const bool conic = on_.options.method == Method::conic;
-    if (conic && on_.options.criterion != Criterion::sum) return;
+    if (on_.options.criterion == Criterion::largest) return;  // which counts preloads itself
     call.offset = current.preload.cost(now.count, [&](int i) {
-      return conic ? now.omega[i] : cost_of_normal_force(now.omega[i], now.scale[3 * i]);
+      return cost_of_normal_force(on_.options.method, now.omega[i], now.scale[3 * i]);
     });
   }
   // The start of problems solved side by side, in the lanes of registers; Start::standard if they

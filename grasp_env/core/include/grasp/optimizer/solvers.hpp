@@ -250,7 +250,7 @@ template <class V, int B> class Solvers {
     General* program = general();
     if (!program || program->deepest(nothing, 1e-7, given.force.data(), nullptr).code != CONVERGED)
       return false;
-    newton.cones.load_force(given.force.data(), newton.x);
+    newton.cones.load_point(given.force.data(), newton.x);
     return newton.is_start(Vec6{});
   }
   // An internal force in the form the general program takes; null if there is none.

@@ -148,7 +148,7 @@ template <class V, int B> class Starts {
     call_.twist = deep.twist;
     if (deep.code != CONVERGED || deep.moved)
       return deep.code == INFEASIBLE ? INFEASIBLE : UNDECIDED;
-    cones_.load_force(on_.given.force.data(), x_);
+    cones_.load_point(on_.given.force.data(), x_);
     return newton_.is_start(call_.w) ? CONVERGED : UNDECIDED;
   }
 

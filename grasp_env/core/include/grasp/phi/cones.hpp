@@ -144,6 +144,11 @@ template <class V, int B> class Cones {
       for (int a = 0; a < 3; ++a) set(x[b][a], n, from[at + a] * get(blocks[b].scale[a], n));
     });
   }
+  // the same for a point at which Phi is evaluated; a direction keeps zeros in unused lanes
+  void load_point(const double* from, Field& x) const {
+    load_force(from, x);
+    reset_unused_lanes(x);
+  }
   void to_force(Field& x) const {
     for (int b = 0; b < int(blocks.size()); ++b)
       for (int a = 0; a < 3; ++a) x[b][a] = x[b][a] / blocks[b].divisor[a];

@@ -10,11 +10,8 @@ template <class T> struct Weights {
   T omega, lambda;
 };
 
-// Cost of a unit of u by squeezing, and of a newton of normal force; scale: u for that newton.
+// Cost of a unit of u by squeezing.
 template <class T> inline T squeezing_cost(const T& omega) { return 3.0 * omega; }
-inline double cost_of_normal_force(double omega, double scale) {
-  return squeezing_cost(omega) * scale;
-}
 
 template <class T> inline T phi(const Vec3<T>& x, const Weights<T>& w) {
   return squeezing_cost(w.omega) * x.u + w.lambda * (1.0 / x.u + 2.0 * x.u / lorentz(x, x));
