@@ -70,7 +70,9 @@ def surface_pairs(grasp: Grasp, objective: Objective) -> Array:
     lambda_ = objective.barrier_weight
     optimum = optimize_force(grasp, np.zeros(6), force_weight=omega, barrier_weight=lambda_)
     inverse = np.zeros((3 * grasp.n_contacts, 3 * grasp.n_contacts))
-    for i, block in enumerate(objective.hessian(grasp.to_cone(optimum.force))):
+    for i, block in enumerate(
+        objective.hessian(grasp.to_cone(optimum.force), grasp.models.tangential)
+    ):
         rows = slice(3 * i, 3 * i + 3)
         inverse[rows, rows] = np.linalg.inv(block)
     matrix = grasp.unit_frame @ grasp.cone_matrix

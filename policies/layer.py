@@ -100,11 +100,11 @@ def grasp_force(
     Tangential components are along o and t. o is the projection of `tangents` on the tangent plane,
     and t = normal x o.
 
-    A margin keeps each contact within abs(tangential force) <= friction_margin * mu * (normal force
-    - preload) and abs(torsion) <= friction_margin * gamma * (normal force - preload). Phi is that
-    of the force beyond the preload. Phi of the whole force is larger by a constant, so its relative
-    gap is at most `gap`. A `min_normal` that the preload reaches is no limit, so Phi has no barrier
-    for it.
+    A margin keeps each contact within abs(tangential force) / mu <= friction_margin * (normal force
+    - preload), and a soft one within sqrt((abs(tangential force) / mu)^2 + (torsion / gamma)^2) <=
+    friction_margin * (normal force - preload). Phi is that of the force beyond the preload. Phi of
+    the whole force is larger by a constant, so its relative gap is at most `gap`. A `min_normal`
+    that the preload reaches is no limit, so Phi has no barrier for it.
 
     Args:
         positions: (..., N, 3) contact points [m].
@@ -115,8 +115,8 @@ def grasp_force(
         wrench: (..., 6) external wrench ON the object [N, N m], moments about the origin: G f + w =
             0.
         tangents: (..., N, 3) directions that define o; None: the default frames.
-        torsional_friction: (..., N) gamma [m], abs(torsion) <= gamma * normal force; 0 is a hard
-            contact.
+        torsional_friction: (..., N) gamma [m] of soft contacts, which keep sqrt((abs(tangential
+            force) / mu)^2 + (torsion / gamma)^2) <= normal force; 0 is a hard contact.
         jacobian: (..., N, 3, J) from joint speeds to velocities of the contact points, or (..., N,
             6, J) with angular velocities as well.
         torque_limit: (..., J) [N m]: abs(J^T f + torque_bias) <= torque_limit; inf: no limit.

@@ -1,9 +1,10 @@
 """A margin of optimal forces: a share of the friction, and a preload along the normals.
 
-A margin m and preloads s give contact i the cone abs(t) <= m mu (n - s_i), where n is its normal
-force. The optimal force is f = g + s n_i, with n_i the unit normal and g the optimum of an ordinary
-problem: its friction is m mu, its wrench includes that of the preloads, and its limits are those
-that the preloads leave.
+A margin m and preloads s give contact i the cone abs(t) / mu <= m (n - s_i), where n is its normal
+force, and a soft contact the cone sqrt((abs(t) / mu)^2 + (torsion / gamma)^2) <= m (n - s_i). The
+optimal force is f = g + s n_i, with n_i the unit normal and g the optimum of an ordinary problem:
+its friction and torsional friction are m mu and m gamma, its wrench includes that of the preloads,
+and its limits are those that the preloads leave.
 """
 
 from __future__ import annotations

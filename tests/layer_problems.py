@@ -12,7 +12,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 from policies import GraspForceLayer, GraspForces, grasp_force
 
-KINDS = ("hard", "elliptic", "soft", "own joints", "shared joints", "normal", "all")
+KINDS = ("hard", "elliptic", "soft", "slippery", "own joints", "shared joints", "normal", "all")
 HOPELESS = ("exceeded", "far exceeded", "unbalanced")
 """Kinds without an optimum: limits exceeded by a little and by far, wrenches that two contacts
 cannot balance."""
@@ -47,9 +47,11 @@ def problems(kind: str, batch: int, seed: int = 0) -> dict[str, Tensor]:
             uniform(0.5, 2.0, n),
             10 ** uniform(-3, -1, n),
         )
-    if kind in ("soft", "all", "exceeded", "far exceeded"):
+    if kind in ("soft", "slippery", "all", "exceeded", "far exceeded"):
         made["torsional_friction"] = uniform(0.002, 0.02, n)
         made["torsional_friction"][:, 0] = 0.0  # a hard one among them
+    if kind == "slippery":
+        made["friction"][:, 3] = made["torsional_friction"][:, 3] = 0.0
     if kind in ("own joints", "own exceeded"):
         limit = 1.0 if kind == "own joints" else 0.01
         jacobian = torch.zeros(batch, n, 3, 3 * n, dtype=torch.float64)

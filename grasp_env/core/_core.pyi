@@ -227,9 +227,9 @@ class Problem:
 class Options:
     """`grasp::Options`."""
 
-    def __init__(self, *, method: str = 'newton', largest: bool = False, start: int = 0, tolerance: float = 0.0, limit: int = 20000, elastic: bool = False, step_rule: object | None = None, model: Model | None = None, remembers: bool = True) -> None:
+    def __init__(self, *, method: str = 'newton', criterion: str = 'sum', start: int = 0, tolerance: float = 0.0, limit: int = 20000, elastic: bool = False, step_rule: object | None = None, model: Model | None = None, remembers: bool = True) -> None:
         """
-        largest: True for `Criterion::largest`; start: index into the names of `Start`;
+        criterion: sum, max or torque; start: index into the names of `Start`;
         step_rule: (5,) kind, first, grow, shrink, decrease.
         """
 
@@ -299,6 +299,11 @@ class ForceOptimizer:
         """
         Compute that basis into `basis` and use it; warm: `basis` holds that of nearby contacts.
         Return the worst relative gap; inf: not converged, nan: no force closure.
+        """
+
+    def payload(self, direction: object, wrench: object, tolerance: float, force: object, torsion: object, twist: object, multipliers: object) -> tuple[int, int, bool, float, float]:
+        """
+        Find the largest k for which forces hold wrench + k direction, (6,) each, with force (N, 3), torsion (N,), twist (6,) and multipliers (M,). Return (code, iterations, unbounded, k, bound).
         """
 
     def deepest(self, wrench: object, force: object, torsion: object, twist: object) -> tuple[int, int, float]:
@@ -469,18 +474,18 @@ class Model:
 
 def phi(x: object, weights: object) -> float:
     """
-    Return Phi of forces (N, 3) in cone coordinates with weights (N, 2) omega, lambda; inf: not strictly inside.
+    Return Phi of forces (N, 3) or (N, 4) in cone coordinates with weights (N, 3) omega, lambda and k - 1, k tangential parts; inf: not strictly inside.
     """
 
 def phi_gradient(x: object, weights: object, out: object) -> None:
-    """Write the gradient of Phi into (N, 3)."""
+    """Write the gradient of Phi, shaped as x."""
 
 def phi_hessian(x: object, weights: object, out: object) -> None:
-    """Write the 3 x 3 blocks of the Hessian of Phi into (N, 3, 3)."""
+    """Write the blocks of the Hessian of Phi into (N, 3, 3) or (N, 4, 4)."""
 
 def phi_lower_bound(y: object, weights: object) -> float:
     """
-    Return the sum over contacts of the minimum of phi(x) - y . x, y (N, 3); -inf: none.
+    Return the sum over contacts of the minimum of phi(x) - y . x, y (N, 3) or (N, 4); -inf: none.
     """
 
 class Surface:

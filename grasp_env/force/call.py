@@ -108,12 +108,13 @@ def touching_grasp(grasp: Grasp, call: Call) -> Grasp:
         raise rank_error(0, 0)
     chosen = slice(None) if mask is None else mask
     models, tangents = grasp.models, grasp.contacts.tangents
+    names = [name for k, name in enumerate(models.names) if mask is None or mask[k]]
     gamma = models.torsional_friction[chosen]
     return Grasp.from_contacts(
         (grasp.positions if positions is None else positions)[chosen],
         (grasp.normals if normals is None else normals)[chosen],
         (models.friction if friction is None else friction)[chosen],
-        contact_model=[name for k, name in enumerate(models.names) if mask is None or mask[k]],
-        torsional_friction=gamma if gamma.any() else None,
+        contact_model=names,
+        torsional_friction=gamma if "soft" in names else None,
         tangents=tangents[chosen] if len(tangents) else None,
     )

@@ -21,8 +21,8 @@ class Margin:
     """How far forces stay inside the friction cones: |t| <= friction * mu * (n - preload).
 
     The share of friction covers friction that is lower than given, the preload errors of the wrench
-    and of the forces. The torsion of soft contacts stays within friction * gamma * (n - preload).
-    Contacts that do not touch have no preload.
+    and of the forces. With the torsion m of a soft contact, sqrt(|t / mu|^2 + (m / gamma)^2) <=
+    friction * (n - preload). Contacts that do not touch have no preload.
 
     Attributes:
         friction: share of the friction that forces may use, 0.01 to 1.

@@ -89,8 +89,9 @@ class ForceOptimizer:
             "lagrange", "phase_one", "internal_force" (the default of newton) and "previous" (the
             last solution). "conic" takes no start. If the contacts of a call have no force closure,
             the named start may not exist; "phase_one" then replaces it.
-        criterion: what "conic" minimises, the "sum" or the "max" of the normal forces, each times
-            its `force_weight`.
+        criterion: what "conic" minimises: the "sum" or the "max" of the normal forces, each times
+            its `force_weight`, or "torque", the norm of the joint torques of `limits` [N m],
+            torque_bias included. Joints without a limit have torque_limit=inf.
         limits: a `ForceLimits` on normal forces and joint torques, for "newton" and "conic".
         margin: how far forces stay inside the friction cones, a `Margin` or its share of friction;
             None: up to the cones. The optimum lies close to the margin, so an error of friction or
@@ -215,7 +216,7 @@ class ForceOptimizer:
         )
         settings = core.Options(
             method=options.method,
-            largest=options.criterion == "max",
+            criterion=options.criterion,
             start=start,
             tolerance=options.tolerance,
             limit=options.max_iterations,

@@ -18,7 +18,7 @@ DESCENTS = (*FLOWS, "newton")
 """Methods that minimise Phi; they accept a start, a known optimum and a trace."""
 METHODS = (*DESCENTS, "conic")
 """Names of all methods. `conic` takes no start."""
-CRITERIA = ("sum", "max")
+CRITERIA = ("sum", "max", "torque")
 """Objectives of `conic`, on the normal forces times their force_weight."""
 MAX_ITERATIONS = 20_000
 """Default largest number of accepted steps."""

@@ -31,8 +31,8 @@ def contact_motions(grasp: Grasp, twist: Array) -> Array:
 def least_normal_motions(grasp: Grasp, q: Array) -> Array:
     """Return (N,) the least normal component at which q_i lies in the dual of friction cone i."""
     models = grasp.models
-    tangential: Array = np.hypot(models.friction[:, 0] * q[:, 1], models.friction[:, 1] * q[:, 2])
-    return tangential + models.torsional_friction * np.abs(q[:, 3])
+    largest = np.column_stack([models.friction, models.torsional_friction])
+    return np.sqrt(((largest * q[:, 1:]) ** 2).sum(axis=1))
 
 
 def explain(

@@ -3,12 +3,16 @@
 | model | transmits | limits |
 |---|---|---|
 | hard | normal, o, t | (o / mu_o)^2 + (t / mu_t)^2 <= normal^2; mu_o = mu_t is Coulomb's round cone |
-| soft | normal, o, t, torsion about the normal | the same, and abs(torsion) <= gamma * normal (Murray, Li, Sastry 1994, Sec. 5.2) |
+| soft | normal, o, t, torsion about the normal | (o / mu_o)^2 + (t / mu_t)^2 + (torsion / gamma)^2 <= normal^2 (Howe and Cutkosky 1996) |
 | frictionless | normal | normal >= 0 |
 
-In cone coordinates x = (u, o', t'), with u = mu * normal, mu = sqrt(mu_o mu_t), o' = o mu / mu_o
-and t' = t mu / mu_t, every friction cone is u >= sqrt(o'^2 + t'^2). A frictionless contact has u =
-normal and o' = t' = 0.
+In cone coordinates x = (u, o', t', v), with u = mu * normal, mu = sqrt(mu_o mu_t), o' = o mu / mu_o,
+t' = t mu / mu_t and v = torsion mu / gamma, every friction cone is u >= sqrt(o'^2 + t'^2 + v^2). A
+frictionless contact has u = normal and o' = t' = 0. Contacts that are not soft have v = 0.
+
+A soft contact with gamma = 0 is a hard one. The forces of the exact problem are continuous there:
+as gamma vanishes, so does the torsion. Phi is not: its barrier counts the tangential parts, 3 of a
+soft contact however small gamma is, 2 of a hard one, and 0 of a frictionless one.
 """
 
 from __future__ import annotations
@@ -36,7 +40,7 @@ class ContactModels:
     Attributes:
         names: N names from `CONTACT_MODELS`.
         friction: (N, 2) mu_o, mu_t; 0 for frictionless contacts.
-        torsional_friction: (N,) gamma [m]; 0 unless soft.
+        torsional_friction: (N,) gamma [m]; 0 unless soft, and a soft contact with 0 is a hard one.
         cone_scale: (N, 3) cone coordinates = cone_scale * force.
         cone_divisor: (N, 3) force = cone coordinates / cone_divisor; inf for components that are
             not transmitted.
@@ -110,6 +114,22 @@ class ContactModels:
         return sent
 
     @cached_property
+    def tangential(self) -> Array:
+        """(N,) number of tangential parts: 0 without friction, 2 with it, 1 more with torsion."""
+        parts = self.transmitted[:, 1:].sum(axis=1) + (self.torsional_friction > 0.0)
+        parts = parts.astype(float)
+        parts.setflags(write=False)
+        return parts
+
+    @cached_property
+    def torsion_scale(self) -> Array:
+        """(N,) v = torsion_scale * torsion [1 / m]; 0 for contacts without torsion."""
+        gamma = self.torsional_friction
+        scale = self.cone_scale[:, 0] * (gamma > 0.0) / np.where(gamma > 0.0, gamma, 1.0)
+        scale.setflags(write=False)
+        return scale
+
+    @cached_property
     def mean_friction(self) -> Array:
         """(N,) sqrt(mu_o mu_t); 0 for frictionless contacts."""
         mean = self.cone_scale[:, 0] * (self.friction[:, 0] > 0.0)
@@ -131,12 +151,14 @@ def _torsional(value: ArrayLike | None, soft: np.ndarray) -> Array:
         return np.zeros(len(soft))
     if value is None:
         raise InvalidInputError(
-            "soft contacts need torsional_friction: |torsion| <= torsional_friction * normal [m], a scalar or (N,); "
+            "soft contacts need torsional_friction, the largest torsion over the normal force [m], a scalar or (N,); "
             "about 0.005 for a fingertip with a contact patch of 1 cm radius"
         )
-    within = ranges.TORSIONAL_FRICTION
-    shapes = (), soft.shape
-    return _per_contact(value, "torsional_friction", shapes, soft, within, "at every soft contact")
+    within, shapes = ranges.TORSIONAL_FRICTION, ((), soft.shape)
+    gamma = as_array(value, None, "torsional_friction")
+    turning = soft & (gamma != 0.0) if gamma.shape in shapes else soft
+    where = "at every soft contact, or be 0"
+    return _per_contact(gamma, "torsional_friction", shapes, turning, within, where)
 
 
 def _per_contact(

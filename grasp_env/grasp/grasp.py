@@ -121,8 +121,9 @@ class Grasp:
                 Ignored for frictionless contacts.
             contact_model: "hard", "soft" or "frictionless", one for all or N names; see
                 `contact_model.py`.
-            torsional_friction: gamma [m] in abs(torsion) <= gamma * normal; a scalar or (N,); for
-                soft contacts only.
+            torsional_friction: gamma [m], the largest torsion over the normal force; a scalar or
+                (N,); for soft contacts only. Tangential force lowers it, see
+                `grasp_env.grasp.contact_model`. 0 makes a hard contact.
             tangents: (N, 3) directions; o is their normalised projection on the tangent plane.
                 None: the rule of `contact_frames`.
 
@@ -279,30 +280,38 @@ class Grasp:
         """True if no contact transmits torsion; the flows need this."""
         return not self.contacts.soft
 
-    def to_cone(self, force: ContactForces) -> Array:
-        """Return cone coordinates (3N,) [N], VP of Eq. 18, of `force` (N, 3) [N]."""
-        return (self._rows(force, "force") * self.models.cone_scale).reshape(-1)
+    def to_cone(self, force: ContactForces, torsion: ArrayLike | None = None) -> Array:
+        """Return cone coordinates [N] of `force` (N, 3) [N] and `torsion` (N,) [N m].
+
+        They are (u, o, t) of every contact, (3N,), VP of Eq. 18; with a torsion (u, o, t, v), (4N,).
+        """
+        rows = self._rows(force, "force") * self.models.cone_scale
+        if torsion is not None:
+            turning = as_array(torsion, (self.n_contacts,), "torsion", ranges.SIZE)
+            rows = np.column_stack([rows, turning * self.models.torsion_scale])
+        return rows.reshape(-1)
 
     def to_force(self, x: Array) -> ContactForces:
         """Return the forces (N, 3) (normal, o, t) [N] of flat cone coordinates `x` (3N,)."""
         return self._rows(x, "x") / self.models.cone_divisor
 
-    def cone_margins(self, force: ContactForces) -> Array:
-        """Return the margins (N,) [N] of `force` (N, 3) [N] from the cones: u - sqrt(o^2 + t^2).
+    def cone_margins(self, force: ContactForces, torsion: ArrayLike | None = None) -> Array:
+        """Return the margins (N,) [N] of `force` (N, 3) [N] and `torsion` (N,) [N m] from the cones.
 
-        For round cones that is mu * normal - |tangential|.
+        They are u - sqrt(o^2 + t^2 + v^2) in cone coordinates; for round cones of hard contacts mu *
+        normal - |tangential|.
 
         Example:
             >>> from grasp_env.grasp import presets
             >>> presets.tripod().cone_margins([[2, 0.1, 0], [2, 0, 0], [2, 0, 0]])   # mu = 0.5
             array([0.9, 1. , 1. ])
         """
-        u, o, t = self.to_cone(force).reshape(-1, 3).T
-        return u - np.hypot(o, t)
+        rows = self.to_cone(force, torsion).reshape(self.n_contacts, -1)
+        return rows[:, 0] - np.sqrt((rows[:, 1:] ** 2).sum(axis=1))
 
-    def cone_margin(self, force: ContactForces) -> float:
-        """Return the least of `cone_margins` of `force` [N]."""
-        return float(self.cone_margins(force).min())
+    def cone_margin(self, force: ContactForces, torsion: ArrayLike | None = None) -> float:
+        """Return the least of `cone_margins`."""
+        return float(self.cone_margins(force, torsion).min())
 
     @property
     def n_contacts(self) -> int:
@@ -349,7 +358,7 @@ class Grasp:
             self.normals,
             friction,
             contact_model=self.models.names,
-            torsional_friction=gamma if gamma.any() else None,
+            torsional_friction=gamma if "soft" in self.models.names else None,
             tangents=self.frames[:, :, 1],
         )
 

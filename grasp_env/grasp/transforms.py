@@ -72,7 +72,7 @@ def transformed(grasp: Grasp, rotation: ArrayLike, translation: ArrayLike) -> Gr
         grasp.normals @ turn.T,
         models.friction,
         contact_model=models.names,
-        torsional_friction=None if grasp.hard else models.torsional_friction,
+        torsional_friction=models.torsional_friction if "soft" in models.names else None,
         tangents=grasp.frames[:, :, 1] @ turn.T,
     )
 

@@ -28,7 +28,7 @@ NOT_NEGATIVE = Range(0.0, 1e300)
 FRICTION = Range(1e-4, 1e4)
 """Coulomb coefficients: below 1e-6 and above 1e5 balance loses its digits."""
 TORSIONAL_FRICTION = Range(1e-15, 1e6, "m")
-"""Torsional friction gamma."""
+"""Torsional friction gamma; or 0, of a hard contact."""
 TORSIONAL_LEVER = 1e4
 """Largest gamma in lengths of the grasp: from 1e6 on torsion outweighs every other moment."""
 FRICTION_MARGIN = Range(0.01, 1.0)

@@ -33,8 +33,8 @@ class ForceClosure:
         closed: True if the rank of G is 6 and an internal force lies strictly inside all cones and
             the given limits.
         margin: the largest m such that some internal force with sum u_i = 1 - m has depth m in
-            every cone: u_i - |(o, t)_i| >= m and, for soft contacts, u_i - |torsion_i| mu_i /
-            gamma_i >= m, with u = mu * normal. It has no unit and lies between 0 (no closure) and
+            every cone, u_i - |(o, t, v)_i| >= m in the cone coordinates of
+            `grasp_env.grasp.contact_model`. It has no unit and lies between 0 (no closure) and
             1 / (N + 1) (no tangential force needed, all u_i equal). With limits A f <= b, the force
             is x / r, sum u + r = 1, r >= m and A x + m <= r b with rows of length one; m can then
             be negative.

@@ -31,7 +31,6 @@ from scipy.spatial import ConvexHull, QhullError
 from grasp_env.errors import InfeasibleWrenchError, InvalidInputError, NotConvergedError
 from grasp_env.force.limits import ForceLimits
 from grasp_env.force.optimizer import ForceOptimizer
-from grasp_env.force.options import CRITERIA
 from grasp_env.force.solution import ForceSolution
 from grasp_env.grasp.grasp import Grasp
 from grasp_env.inputs import ranges
@@ -49,6 +48,8 @@ from grasp_env.inputs.arguments import (
 from grasp_env.quality.closure import force_closure
 
 SHAPES = ("ellipsoid", "product")
+CRITERIA = ("sum", "max")
+"""Sizes of a contact force: the sum or the maximum of its normal forces."""
 ENCLOSING = 42
 """Number of vertices of the polyhedron around a ball of forces or of moments; the outer polytope
 combines the two."""
@@ -339,21 +340,19 @@ def _within_limits(optimizer: ForceOptimizer, ball: WrenchBall, best: WorstCase)
 def _largest_wrenches(grasp: Grasp, directions: Array, criterion: str) -> tuple[Array, Array]:
     """Return h(n) (K,) and the maximising wrenches G f (K, 6) for the rows n (K, 6)."""
     models, count = grasp.models, grasp.n_contacts
-    works = (directions @ grasp.matrix).reshape(-1, count, 3)
-    tangential = works[:, :, 1:] * models.friction
+    pushes = (directions @ grasp.matrix).reshape(-1, count, 3)
+    works = np.concatenate([pushes, (directions @ grasp.torsion_matrix)[:, :, None]], axis=2)
+    largest = np.column_stack([models.friction, models.torsional_friction])  # per normal force
+    tangential = works[:, :, 1:] * largest
     length = np.sqrt((tangential**2).sum(axis=2))
-    twisting = directions @ grasp.torsion_matrix
     # each contact separately, with a unit normal force
-    best = works[:, :, 0] + length + models.torsional_friction * np.abs(twisting)
+    best = works[:, :, 0] + length
     pushing = best > 0.0
     if criterion == "sum":
         pushing &= np.arange(count) == best.argmax(axis=1)[:, None]
     normals = pushing.astype(float)
-    forces = np.empty_like(works)
-    forces[:, :, 0] = normals
-    forces[:, :, 1:] = (
-        (normals / np.where(length > 0.0, length, 1.0))[:, :, None] * models.friction * tangential
-    )
-    torsions = normals * models.torsional_friction * np.sign(twisting)
-    wrenches = forces.reshape(-1, 3 * count) @ grasp.matrix.T + torsions @ grasp.torsion_matrix.T
+    parts = (normals / np.where(length > 0.0, length, 1.0))[:, :, None] * largest * tangential
+    forces = np.concatenate([normals[:, :, None], parts[:, :, :2]], axis=2)
+    wrenches = forces.reshape(-1, 3 * count) @ grasp.matrix.T
+    wrenches += parts[:, :, 2] @ grasp.torsion_matrix.T
     return (best * normals).sum(axis=1), wrenches

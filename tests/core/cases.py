@@ -58,14 +58,24 @@ class Case:
         s = self.contacts
         return insides.place(s.positions, s.normals, s.scale, s.weights, torsion=self.gamma)
 
+    @property
+    def wide(self) -> int:
+        """Numbers of a contact in z: (u, o, t), or (u, o, t, v) if some contacts are soft."""
+        return 4 if self.soft.any() else 3
+
+    @cached_property
+    def phi_weights(self) -> np.ndarray:
+        """(N, 3) the weights of `oracles.phi`."""
+        return self.contacts.phi_weights + np.outer(self.soft, [0.0, 0.0, 1.0])
+
     @cached_property
     def torsion_divisor(self) -> np.ndarray:
-        """(N,) torsion = v / divisor, abs(v) <= u."""
+        """(N,) torsion = v / divisor."""
         return np.where(
             self.soft, self.contacts.scale[:, 0] / np.where(self.soft, self.gamma, 1.0), np.inf
         )
 
-    # --- rows, of cone coordinates and the torsions v of all contacts: (..., N, 4)
+    # --- rows, of the cone coordinates (u, o, t, v) of all contacts: (..., N, 4)
 
     @cached_property
     def jacobian(self) -> np.ndarray:
@@ -79,8 +89,7 @@ class Case:
 
     @cached_property
     def given_rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Rows on cone coordinates and torsions in units of their limits, right sides, and what
-        each limit is [N, N m]."""
+        """Rows on cone coordinates, right sides, and what each limit is [N, N m]."""
         rows = []
         bound = []
         limited = []
@@ -105,11 +114,8 @@ class Case:
 
     @cached_property
     def sizes(self) -> np.ndarray:
-        """(M,) the length of each row in (u, o, t, u - v), by which Phi divides it; 1 of one that
-        no force changes."""
-        rows = self.given_rows[0]
-        with_slack = np.concatenate([rows[..., :1] + rows[..., 3:], rows[..., 1:]], axis=2)
-        length = np.sqrt((with_slack**2).sum(axis=(1, 2)))
+        """(M,) the length of each row, by which Phi divides it; 1 of one that no force changes."""
+        length = np.sqrt((self.given_rows[0] ** 2).sum(axis=(1, 2)))
         return np.where(length > 0.0, length, 1.0)
 
     @cached_property
@@ -121,10 +127,8 @@ class Case:
         return np.dstack([s.rows.reshape(6, -1, 3), s.unit @ turn / self.torsion_divisor])
 
     def flat(self, rows: np.ndarray) -> np.ndarray:
-        """(M, n) of rows (M, N, 4)."""
-        return np.concatenate(
-            [rows[:, :, :3].reshape(len(rows), 3 * self.count), rows[:, self.soft, 3]], axis=1
-        )
+        """(M, w N) of rows (M, N, 4)."""
+        return rows[:, :, : self.wide].reshape(len(rows), self.wide * self.count)
 
     @cached_property
     def matrix(self) -> np.ndarray:
@@ -145,27 +149,21 @@ class Case:
 
     @cached_property
     def terms(self) -> oracle.Terms:
-        """All rows: the limits, then v <= u and -v <= u of soft contacts."""
-        which = np.flatnonzero(self.soft)
+        """Phi and all limits."""
         rows, bound, _ = self.own
-        torsion = np.zeros((2 * len(which), self.count, 4))
-        for k, i in enumerate(which):
-            torsion[2 * k : 2 * k + 2, i, 0], torsion[2 * k : 2 * k + 2, i, 3] = -1.0, (1.0, -1.0)
-        weights = np.concatenate([self.row_weights, np.repeat(self.contacts.weights[which, 1], 2)])
-        every = np.concatenate([rows, self.flat(torsion)])
-        return oracle.Terms(
-            self.contacts.weights, every, np.append(bound, np.zeros(2 * len(which))), weights
-        )
+        return oracle.Terms(self.phi_weights, rows, bound, self.row_weights)
 
     # --- solutions
 
     def start(self, load: np.ndarray) -> np.ndarray:
         """Optimum of hard contacts without limits."""
-        return np.append(self.contacts.minimum(load)[0], np.zeros(self.soft.sum()))
+        z = np.zeros((self.count, self.wide))
+        z[:, :3] = self.contacts.minimum(load)[0].reshape(-1, 3)
+        return z.reshape(-1)
 
     def minimum(self, load: np.ndarray) -> np.ndarray | None:
         """argmin Phi, or None if the limits cannot be kept."""
-        if not len(self.terms.rows):
+        if not len(self.terms.rows) and not self.soft.any():
             return self.start(load)
         return oracle.minimum(self.start(load), self.matrix, self.contacts.unit @ load, self.terms)
 
@@ -175,8 +173,15 @@ class Case:
     def z(self, row: np.ndarray, at: str = "force") -> np.ndarray:
         """The variables of a record."""
         force, torsion = self.forces(row, at)
-        v = torsion[self.soft] * self.torsion_divisor[self.soft]
-        return np.concatenate([force * self.contacts.scale.reshape(-1), v])
+        v = np.where(self.soft, torsion * self.contacts.scale[:, 0], 0.0)
+        v /= np.where(self.soft, self.gamma, 1.0)
+        rows = np.column_stack([force.reshape(-1, 3) * self.contacts.scale, v])
+        return rows[:, : self.wide].reshape(-1)
+
+    def margins(self, z: np.ndarray) -> np.ndarray:
+        """(N,) distances from the cones' surfaces along u."""
+        x = z.reshape(self.count, -1)
+        return x[:, 0] - np.hypot.reduce(x[:, 1:], axis=1)
 
     def forces(self, row: np.ndarray, at: str = "force") -> tuple[np.ndarray, np.ndarray]:
         """Forces (3N,) and torsions (N,) of a record."""
@@ -206,13 +211,27 @@ class Case:
         return float(((rows @ z - bound) / share).max(initial=0.0))
 
     def pyramids(self, *, inside: bool = False) -> tuple[np.ndarray, np.ndarray]:
-        """A z <= b around cones, then all rows. inside: pyramids in the cones, 0.12 % narrower."""
+        """A (z, r) <= b around cones, then all rows. inside: pyramids in the cones, 0.12 % narrower.
+
+        Of a soft contact r >= |(o, t)| and u >= |(r, v)|, a pyramid each.
+        """
+        which = np.flatnonzero(self.soft)
+        size = self.wide * self.count
+        columns = np.arange(size).reshape(self.count, self.wide)
+        length = columns[:, 0].copy()  # what is at least |(o, t)|
+        length[which] = size + np.arange(len(which))
+        triples = [(length[i], columns[i, 1], columns[i, 2]) for i in range(self.count)]
+        triples += [(columns[i, 0], length[i], columns[i, 3]) for i in which]
         angles = 2.0 * np.pi * np.arange(FACETS) / FACETS
         width = np.cos(np.pi / FACETS) if inside else 1.0
         facets = np.column_stack([-width * np.ones(FACETS), np.cos(angles), np.sin(angles)])
-        cones = np.pad(np.kron(np.eye(self.count), facets), [(0, 0), (0, int(self.soft.sum()))])
-        return np.vstack([cones, self.terms.rows]), np.append(
-            np.zeros(len(cones)), self.terms.bound
+        cones = np.zeros((len(triples), FACETS, size + len(which)))
+        for cone, triple in zip(cones, triples, strict=True):
+            cone[:, triple] = facets
+        rows = np.pad(self.terms.rows, [(0, 0), (0, len(which))])
+        return (
+            np.vstack([cones.reshape(-1, size + len(which)), rows]),
+            np.append(np.zeros(len(triples) * FACETS), self.terms.bound),
         )
 
     def solver(self, method: str = "newton", **options: object) -> insides.AnyOptimizer:
@@ -226,10 +245,11 @@ class Case:
 
 
 def softened(s: Sample, kind: str) -> np.ndarray:
-    """(N,) torsional friction of two thirds of the contacts, or of all (`all soft`)."""
+    """(N,) torsional friction of two thirds of the contacts, or of all (`all soft`, `slippery
+    soft`)."""
     rng = np.random.default_rng([3, s.count])
     gamma = rng.uniform(0.002, 0.02, s.count)
-    if kind != "all soft":
+    if kind not in ("all soft", "slippery soft"):
         gamma[rng.permutation(s.count)[: s.count // 3]] = 0.0
     return gamma
 
@@ -287,9 +307,10 @@ def shared_limits(s: Sample, seed: int, tight: float) -> dict[str, np.ndarray]:
 
 @cache
 def case(count: int, kind: str, seed: int = 0, tight: float = 6.0) -> Case:
-    """Problem of a kind: hard, frictionless, thin, some soft, all soft, own limits, shared limits,
-    or soft limits (some soft, shared limits)."""
-    s = sample(count, kind if kind in ("frictionless", "thin") else "hard")
+    """Problem of a kind: hard, frictionless, thin, some soft, all soft, slippery soft (a third with
+    torsion alone), own limits, shared limits, or soft limits (some soft, shared limits)."""
+    kinds = {"frictionless": "frictionless", "thin": "thin", "slippery soft": "frictionless"}
+    s = sample(count, kinds.get(kind, "hard"))
     gamma = softened(s, kind) if "soft" in kind else np.zeros(count)
     if kind == "own limits":
         return Case(s, gamma, own_limits(s, seed, tight))

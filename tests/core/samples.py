@@ -33,6 +33,11 @@ class Sample:
         return len(self.positions)
 
     @cached_property
+    def phi_weights(self) -> np.ndarray:
+        """(N, 3) the weights of `oracles.phi`, without torsion."""
+        return np.column_stack([self.weights, (self.scale[:, 1:] > 0.0).sum(axis=1) - 1.0])
+
+    @cached_property
     def divisor(self) -> np.ndarray:
         """(N, 3) force = cone coordinates / divisor."""
         return np.where(self.scale > 0.0, self.scale, np.inf)
@@ -70,19 +75,19 @@ class Sample:
     @cached_property
     def rest(self) -> np.ndarray:
         """(3N,) the optimum of Phi without a wrench."""
-        return newton.internal_force(self.rows, self.weights)
+        return newton.internal_force(self.rows, self.phi_weights)
 
     @cached_property
     def basis(self) -> np.ndarray:
         """(13, 3N) the offline optima."""
-        return newton.twelve_basis(self.cone_matrix, self.weights, self.rest)
+        return newton.twelve_basis(self.cone_matrix, self.phi_weights, self.rest)
 
     def minimum(self, wrench: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(argmin Phi, multipliers in the unit frame), found once."""
         key = wrench.tobytes()
         if key not in self._minima:
             self._minima[key] = newton.minimum(
-                self.rest, self.rows, self.unit @ wrench, self.weights
+                self.rest, self.rows, self.unit @ wrench, self.phi_weights
             )
         return self._minima[key]
 

@@ -62,7 +62,7 @@ def test_a_learned_start_is_the_networks_force_or_a_better_one(count, size):
                 row = solver.start(load, previous=before)
                 solved, _ = solver.solve(load, previous=before)
                 for start in (c.z(row, "initial"), c.z(solved, "initial")):
-                    assert phi(start, s.weights) <= phi(safe, s.weights) * (1.0 + 1e-12)
+                    assert phi(start, s.phi_weights) <= phi(safe, s.phi_weights) * (1.0 + 1e-12)
                     left = np.abs(s.rows @ start + w).max()
                     assert left <= 1e-12 * count * (np.abs(start).max() + np.abs(w).max())
                 assert at(row, "code") == STARTED
@@ -90,7 +90,7 @@ def test_a_learned_start_is_the_networks_force_or_a_better_one(count, size):
                     kept = share > 0.0
                     assert at(row, "replaced") == (not kept)
                     kept_values.add(kept)
-                    best = min(phi(force, s.weights), phi(safe, s.weights))
+                    best = min(phi(force, s.phi_weights), phi(safe, s.phi_weights))
                     assert at(row, "objective") <= best * (1 + 1e-12)
             previous = solved
     assert size >= 1.0 or True in kept_values

@@ -85,7 +85,9 @@ def test_every_form_and_rule_gives_the_iterates_of_the_plain_flow(count, kind, f
     s = sample(count, kind)
     many = 20 if rule == "adaptive" else 12
     wrench, force, x = starts(s)
-    descent, iterates = followed(x, reduced_flow.landscape(s.rows, s.weights), RULES[rule], many)
+    descent, iterates = followed(
+        x, reduced_flow.landscape(s.rows, s.phi_weights), RULES[rule], many
+    )
     # a line search amplifies what rounding leaves of the direction
     near = 1e-9 if rule == "adaptive" else 1e-7
     for k in (0, 1, 5, many):
@@ -116,10 +118,10 @@ def test_every_form_and_rule_gives_the_iterates_of_the_plain_flow(count, kind, f
 def test_the_flow_finds_the_optimum_of_the_oracle(count, kind, rule, tolerance):
     s = sample(count, kind)
     wrench, force, _ = starts(s)
-    least = phi(s.minimum(wrench)[0], s.weights)
+    least = phi(s.minimum(wrench)[0], s.phi_weights)
     row, trace = flow(s, RULES[rule], "reduced", tolerance, 200_000)(wrench, force, traced=30_000)
     check(Case(s, np.zeros(count)), wrench, row, tolerance, least)
-    known = lower_bound(nu_of(row), s.cone_matrix, wrench, s.weights)
+    known = lower_bound(nu_of(row), s.cone_matrix, wrench, s.phi_weights)
     assert known == pytest.approx(at(row, "lower_bound"), rel=1e-9)
     assert (np.diff(trace[: int(at(row, "iterations")) + 1]) < 0.0).all()
 
@@ -128,7 +130,7 @@ def test_the_flow_finds_the_optimum_of_the_oracle(count, kind, rule, tolerance):
 def test_a_known_optimum_ends_it_at_the_first_iterate_near_enough(form):
     s = sample(5)
     wrench, force, _ = starts(s)
-    least = phi(s.minimum(wrench)[0], s.weights)
+    least = phi(s.minimum(wrench)[0], s.phi_weights)
     row, trace = flow(s, None, form, 1e-3)(wrench, force, least, 20_000)
     assert (at(row, "code"), at(row, "lower_bound")) == (CONVERGED, least)
     last = int(at(row, "iterations"))
@@ -162,7 +164,7 @@ def test_no_rule_hangs():
 def test_it_stalls_where_floating_point_ends_and_gets_away_from_the_apex(rule):
     s = sample(4)
     wrench, force, _ = starts(s)
-    least = phi(s.minimum(wrench)[0], s.weights)
+    least = phi(s.minimum(wrench)[0], s.phi_weights)
     row, _ = flow(s, rule, "reduced", 1e-300, 100_000)(wrench, force)
     assert at(row, "code") in (STALLED, LIMIT) or at(row, "objective") <= at(row, "lower_bound")
     assert at(row, "objective") == pytest.approx(least, rel=1e-7)
@@ -170,7 +172,7 @@ def test_it_stalls_where_floating_point_ends_and_gets_away_from_the_apex(rule):
         tiny = 1e-7 * s.rest
         row, _ = flow(s, rule, "reduced", 1e-3)(np.zeros(6), tiny / s.scale.reshape(-1))
         assert at(row, "code") == CONVERGED
-        assert at(row, "objective") < 1e-3 * phi(tiny, s.weights)
+        assert at(row, "objective") < 1e-3 * phi(tiny, s.phi_weights)
 
 
 @pytest.mark.parametrize("count", [4, 12])
@@ -180,5 +182,5 @@ def test_contacts_that_hardly_span_the_wrenches(count):
     s = sample(count, "thin")
     wrench, force, _ = starts(s)
     _, trace = flow(s, None, "reduced", 1e-12, 300)(wrench, force, traced=301)
-    assert (trace >= phi(s.minimum(wrench)[0], s.weights) * (1.0 - 1e-9)).all()
+    assert (trace >= phi(s.minimum(wrench)[0], s.phi_weights) * (1.0 - 1e-9)).all()
     assert (np.diff(trace) < 0.0).all()

@@ -31,6 +31,7 @@ KINDS = (
     "hard",
     "elliptic",
     "soft",
+    "slippery soft",
     "own",
     "shared",
     "normal",
@@ -40,8 +41,8 @@ KINDS = (
     "adrift",
     "adrift own soft",
 )
-"""own, shared: torque limits of one finger or of several; tight: no force keeps them; adrift:
-contacts that cannot balance the wrench."""
+"""slippery: one contact has no friction, except about its normal; own, shared: torque limits of one
+finger or of several; tight: no force keeps them; adrift: contacts that cannot balance the wrench."""
 OPTIMAL = 0
 REFUSED = _core.codes()["refused"]
 Batch = dict[str, np.ndarray | None]
@@ -63,6 +64,8 @@ def batch(kind: str, size: int = 19) -> Batch:
             rng.uniform(0.3, 0.7, (size, 4, 2)),
             rng.normal(size=(size, 4, 3)),
         )
+    if "slippery" in kind:
+        made["friction"][:, 3] = 0.0
     if "soft" in kind:
         made["torsion"] = rng.uniform(0.002, 0.01, (size, 4))
     if "own" in kind or "shared" in kind:

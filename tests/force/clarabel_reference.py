@@ -4,8 +4,10 @@ solved by Clarabel.
 Frames and G are those of the oracles, about the centre of the contacts, moments divided by their
 length.
 
-    min c . x   s.t.  G f + w = 0,  n >= hypot(o / mu_o, t / mu_t),  n >= abs(tau) / gamma,  A f <=
-    b
+    min c . x   s.t.  G f + w = 0,  n >= sqrt((o / mu_o)^2 + (t / mu_t)^2 + (tau / gamma)^2),  A f
+    <= b
+
+without the parts that a contact does not transmit.
 """
 
 from __future__ import annotations
@@ -103,14 +105,14 @@ class Reference:
         return float(np.abs(np.einsum("rna,na->r", self.matrix, f) + self.load(wrench)).max())
 
     def violation(self, force: Array, torsion: Array) -> float:
-        """Largest violation of cones, torsion bounds and limits [N]; limits divided by their row's
-        length."""
-        n = force[:, 0]
-        inside = n - np.hypot(*(force[:, 1:] / np.where(self.mu > 0.0, self.mu, 1.0)).T)
-        spin = n - np.abs(torsion) / np.where(self.gamma > 0.0, self.gamma, 1.0)
+        """Largest violation of cones and limits [N]; limits divided by their row's length, and what
+        a contact does not transmit by one."""
+        friction = np.column_stack([self.mu, self.gamma])
+        parts = np.column_stack([force[:, 1:], torsion]) / np.where(friction > 0.0, friction, 1.0)
+        inside = force[:, 0] - np.sqrt((parts**2).sum(axis=1))
         size = np.sqrt((self.rows**2).sum(axis=(1, 2)))
         excess = -self.room(force, torsion) / np.where(size > 0.0, size, 1.0)
-        return float(max(-inside.min(), -spin.min(), excess.max(initial=-np.inf)))
+        return float(max(-inside.min(), excess.max(initial=-np.inf)))
 
     def room(self, force: Array, torsion: Array) -> Array:
         """(M,) slack of each limit."""
@@ -120,21 +122,24 @@ class Reference:
         """Largest excess of a limit as a fraction of it; 0 within all."""
         return float((-self.room(force, torsion) / self.limited).max(initial=0.0))
 
-    def _scaled(self) -> tuple[Array, Array, Array]:
-        """mu of cone coordinates u = mu n (N,), the size of a unit of (u, o, t) as (n, o, t) (N,
-        3), that of v as torsion (N,)."""
+    def _scaled(self) -> tuple[Array, Array]:
+        """mu of cone coordinates u = mu n (N,), and the size of a unit of (u, o, t, v) as (n, o, t,
+        tau) (N, 4), 0: not transmitted."""
         mu_o, mu_t = self.mu.T
         mu = np.where(mu_o > 0.0, np.sqrt(mu_o * mu_t), 1.0)
-        return mu, np.array([1.0 / mu, mu_o / mu, mu_t / mu]).T, self.gamma / mu
+        return mu, np.array([1.0 / mu, mu_o / mu, mu_t / mu, self.gamma / mu]).T
+
+    def _cone(self, force: Array, torsion: Array) -> tuple[Array, Array]:
+        """u (N,) and the length of (o, t, v) (N,) in cone coordinates."""
+        mu, sizes = self._scaled()
+        parts = np.column_stack([force[:, 1:], torsion])
+        parts = parts * self.transmits[:, 1:] / np.where(sizes > 0.0, sizes, 1.0)[:, 1:]
+        return mu * force[:, 0], np.sqrt((parts**2).sum(axis=1))
 
     def _row_sizes(self) -> Array:
-        """(M,) length of each limit's row in cone coordinates (u, o, t, u - v), in which Phi
-        measures the distance to it."""
-        _, sizes, spin = self._scaled()
-        spins = self.rows[:, :, 3] * spin
-        scaled = np.concatenate([self.rows[:, :, :3] * sizes, -spins[:, :, None]], axis=2)
-        scaled[:, :, 0] += spins
-        length = np.sqrt((scaled**2).sum(axis=(1, 2)))
+        """(M,) length of each limit's row in cone coordinates, in which Phi measures the distance
+        to it."""
+        length = np.sqrt(((self.rows * self._scaled()[1]) ** 2).sum(axis=(1, 2)))
         return np.where(length > 0.0, length, 1.0)
 
     def _weights(self, omega: Weight, lam: Weight) -> tuple[Array, Array, Array]:
@@ -147,31 +152,30 @@ class Reference:
         return both, lambdas, (touched @ lambdas) / touched.sum(axis=1)
 
     def phi(self, force: Array, torsion: Array, omega: Weight = 1.0, lam: Weight = 0.01) -> float:
-        """Phi by the eigenvalues of P and the distances to soft contacts' torsion and to limits;
-        +inf outside."""
-        mu, sizes, spin = self._scaled()
-        n = force[:, 0]
-        prices, lambdas, of_rows = self._weights(omega, lam)
-        u = mu * n
-        s = np.zeros(self.count)
-        rough = self.mu[:, 0] > 0.0
-        soft = self.gamma > 0.0
-        s[rough] = np.hypot(*(force[rough, 1:] / sizes[rough, 1:]).T)
-        v = torsion[soft] / spin[soft]
-        room = self.room(force, torsion) / self._row_sizes()
-        distances = np.concatenate([u, u - s, u + s, u[soft] - v, u[soft] + v, room])
-        each = np.concatenate([*[lambdas] * 3, *[lambdas[soft]] * 2, of_rows])
-        return (
-            float(3.0 * (prices @ u) + (each / distances).sum())
-            if (distances > 0.0).all()
-            else np.inf
-        )
+        """Phi by the eigenvalues of P and the distances to limits; +inf outside.
 
-    def cone_margin(self, force: Array) -> float:
-        """Least distance to a cone's surface in cone coordinates [N]."""
-        mu, sizes, _ = self._scaled()
-        tangential = force[:, 1:] / np.where(self.mu > 0.0, sizes[:, 1:], 1.0)
-        return float((mu * force[:, 0] - np.hypot(*tangential.T)).min())
+        With k tangential parts of length s, P has the eigenvalues u - s, u + s and, k - 1 times, u;
+        with none it is u.
+        """
+        prices, lambdas, of_rows = self._weights(omega, lam)
+        u, s = self._cone(force, torsion)
+        room = self.room(force, torsion) / self._row_sizes()
+        if min((u - s).min(), u.min(), room.min(initial=1.0)) <= 0.0:
+            return np.inf
+        total = 3.0 * float(prices @ u) + float((of_rows / room).sum())
+        for i, parts in enumerate(self._tangential()):
+            values = [u[i]] if parts == 0 else [u[i] - s[i], u[i] + s[i], *[u[i]] * (parts - 1)]
+            total += lambdas[i] * float((1.0 / np.array(values)).sum())
+        return total
+
+    def _tangential(self) -> list[int]:
+        """k of each contact: 0 without friction, 2 hard or elliptic, 3 soft."""
+        return [int(each) for each in self.transmits[:, 1:].sum(axis=1)]
+
+    def cone_margin(self, force: Array, torsion: Array) -> float:
+        """Least of u - |(o, t, v)| over the contacts, in cone coordinates [N]."""
+        u, s = self._cone(force, torsion)
+        return float((u - s).min())
 
     def dual_bound(
         self, nu: Array, prices: Array, wrench: Array, criterion: str = "sum", omega: Weight = 1.0
@@ -180,9 +184,9 @@ class Reference:
         the limits, scaled by theta <= 1.
 
         The objective is the sum or the largest of omega times normal force. With a = c - G^T nu +
-        A^T prices in the dual cone a_n >= hypot(mu_o a_o, mu_t a_t) + gamma abs(a_tau) of every
-        contact, -nu . w - prices . b bounds the objective. theta < 1: the multipliers given are not
-        dual feasible.
+        A^T prices in the dual cone a_n >= sqrt((mu_o a_o)^2 + (mu_t a_t)^2 + (gamma a_tau)^2) of
+        every contact, -nu . w - prices . b bounds the objective. theta < 1: the multipliers given
+        are not dual feasible.
         """
         at_centre = self._at_centre(nu)
         prices = np.maximum(prices, 0.0)
@@ -212,8 +216,8 @@ class Reference:
     def _pull(self, v: Array, y: Array) -> tuple[Array, Array]:
         """q = G^T v + A^T y (N, 4), and the least normal components (N,) of it in the dual cones."""
         q = np.einsum("rna,r->na", self.matrix, v) + np.einsum("kna,k->na", self.rows, y)
-        across = np.hypot(self.mu[:, 0] * q[:, 1], self.mu[:, 1] * q[:, 2])
-        return q, across + self.gamma * np.abs(q[:, 3])
+        friction = np.column_stack([self.mu, self.gamma])
+        return q, np.sqrt(((friction * q[:, 1:]) ** 2).sum(axis=1))
 
     def _at_centre(self, twist: Array) -> Array:
         """A twist or multipliers (6,) about the origin, about the centre and per length."""
@@ -232,15 +236,8 @@ class Reference:
         balance = np.zeros((6, width))
         balance[:, : 4 * self.count] = self.matrix.reshape(6, -1)
         each = np.eye(width)
-        soft = np.flatnonzero(self.gamma > 0.0)
-        slick = np.flatnonzero(self.mu[:, 0] == 0.0)
         fixed = each[np.flatnonzero(self.transmits.reshape(-1) == 0.0)]
-        linear = [
-            sign * each[4 * k + 3] / self.gamma[k] - each[4 * k]
-            for k in soft
-            for sign in (1.0, -1.0)
-        ]
-        linear += [-each[4 * k] for k in slick]
+        linear = [-each[4 * k] for k, parts in enumerate(self._tangential()) if parts == 0]
         lengths = np.sqrt((self.rows**2).sum(axis=(1, 2)))
         lengths[lengths == 0.0] = 1.0
         rest = np.zeros(width - 4 * self.count)
@@ -253,11 +250,13 @@ class Reference:
         right: list[Array] = [-load / size, np.zeros(len(fixed)), bound]
         cones: list = [clarabel.ZeroConeT(6), clarabel.ZeroConeT(len(fixed))]
         cones.append(clarabel.NonnegativeConeT(len(bound)))
-        for k in np.flatnonzero(self.mu[:, 0] > 0.0):
-            o, t = (each[4 * k + 1 + a] / self.mu[k, a] for a in (0, 1))
-            blocks.append(-np.array([each[4 * k], o, t]))
-            right.append(np.zeros(3))
-            cones.append(clarabel.SecondOrderConeT(3))
+        friction = np.column_stack([self.mu, self.gamma])
+        for k in np.flatnonzero(self._tangential()):
+            parts = np.flatnonzero(friction[k] > 0.0)
+            across = [each[4 * k + 1 + a] / friction[k, a] for a in parts]
+            blocks.append(-np.array([each[4 * k], *across]))
+            right.append(np.zeros(1 + len(parts)))
+            cones.append(clarabel.SecondOrderConeT(1 + len(parts)))
         kept = [k for k in range(len(blocks)) if len(blocks[k])]
         return size, *([part[k] for k in kept] for part in (blocks, right, cones))
 
@@ -297,14 +296,36 @@ class Reference:
         found = _run(np.eye(width)[-1], rows, np.concatenate(right), cones, 1e-9)
         return found.obj_val if str(found.status) in SOLVED else float("nan")
 
+    def payload(self, direction: Array, wrench: Array) -> float:
+        """The largest k for which a force balances wrench + k direction; nan: unsolved."""
+        width = 4 * self.count + 1
+        size, blocks, right, cones = self._program(wrench, width)
+        blocks[0][:, -1] = self.load(np.asarray(direction, dtype=float))
+        found = _run(-np.eye(width)[-1], np.vstack(blocks), np.concatenate(right), cones, 1e-10)
+        return -size * found.obj_val if str(found.status) in SOLVED else float("nan")
+
+    def least_torque(self, wrench: Array, rows: Array, bias: Array) -> float:
+        """The least |rows f + bias| of a balanced force, rows (J, N, 4) [m], bias (J,) [N m]."""
+        width = 4 * self.count + 1
+        size, blocks, right, cones = self._program(wrench, width)
+        unit = float(np.abs(rows).max())
+        norm = np.zeros((1 + len(bias), width))
+        norm[0, -1] = -1.0
+        norm[1:, :-1] = -rows.reshape(len(bias), -1) / unit
+        blocks.append(norm)
+        right.append(np.concatenate([[0.0], bias / size / unit]))
+        cones.append(clarabel.SecondOrderConeT(1 + len(bias)))
+        found = _run(np.eye(width)[-1], np.vstack(blocks), np.concatenate(right), cones, 1e-10)
+        return unit * size * found.obj_val if str(found.status) in SOLVED else float("nan")
+
     def least_phi(
         self, wrench: Array, omega: Weight = 1.0, lam: Weight = 0.01
     ) -> tuple[float, float]:
         """(min Phi, Clarabel's own relative error; inf: unsolved), every term as second-order
         cones.
 
-        2u/(u^2 - s^2) <= y where u (u - z) >= s^2 and y z >= 2; 2u/(u^2 - v^2) the same; 1/room <=
-        y where room y >= 1.
+        2u/(u^2 - s^2) <= y where u (u - z) >= s^2 and y z >= 2; 1/u <= r where u r >= 1, counted k -
+        1 times, once of frictionless contacts, which have no y; 1/room <= y where room y >= 1.
         """
         count = self.count
         load = self.load(np.asarray(wrench, dtype=float))
@@ -314,15 +335,17 @@ class Reference:
         unit = max(float(np.abs(load).max()), np.sqrt(float(lambdas.max()) / price))
         roots = np.sqrt(lambdas / price) / unit
         row_roots = np.sqrt(of_rows / price) / unit
-        (mu, sizes, spin), soft = self._scaled(), np.flatnonzero(self.gamma > 0.0)
-        # variables: (n, o, t, tau) of each contact, then (r, y, z) of each, (y, z) of soft ones, y
-        # of each limit
-        begins = np.cumsum([4 * count, 3 * count, 2 * len(soft), len(self.bound)])
+        mu, sizes = self._scaled()
+        tangential = self._tangential()
+        # variables: (n, o, t, tau) of each contact, then (r, y, z) of each, y of each limit
+        begins = np.cumsum([4 * count, 3 * count, len(self.bound)])
         width = int(begins[-1])
         each = np.eye(width)
         cost = np.zeros(width)
         cost[: 4 * count : 4] = 3.0 * mu * prices / price
-        fixed = np.flatnonzero(self.transmits.reshape(-1) == 0.0)
+        fixed = [*np.flatnonzero(self.transmits.reshape(-1) == 0.0)]
+        for k, parts in enumerate(tangential):
+            fixed += [begins[0] + 3 * k + a for a in (1, 2)] if parts == 0 else []
         zero = np.concatenate([np.zeros((6, width)), each[fixed]])
         zero[:6, : 4 * count] = self.matrix.reshape(6, -1)
         blocks = [zero]
@@ -340,29 +363,21 @@ class Reference:
             right.append(offset)
             cones.append(clarabel.SecondOrderConeT(len(rows)))
 
-        def barrier(u: Array, root: float, at: int, others: list[Array]) -> None:
-            """Two variables y, z at `at`, y the term."""
-            cost[at] = root
-            rotated(u, u - each[at + 1], others)
-            rotated(each[at], each[at + 1], [], np.sqrt(2.0 * root))
-
-        for k in range(count):
+        for k, parts in enumerate(tangential):
             u = mu[k] * each[4 * k]
-            at = begins[0] + 3 * k
-            cost[at] = roots[k]
-            rotated(u, each[at], [], np.sqrt(roots[k]))
-            barrier(
-                u,
-                roots[k],
-                at + 1,
-                [each[4 * k + a] / sizes[k, a] for a in (1, 2)] if self.mu[k, 0] else [],
-            )
-        for j, k in enumerate(soft):
-            barrier(mu[k] * each[4 * k], roots[k], begins[1] + 2 * j, [each[4 * k + 3] / spin[k]])
+            r, y, z = begins[0] + 3 * k + np.arange(3)
+            cost[r] = roots[k] * abs(parts - 1)
+            rotated(u, each[r], [], np.sqrt(roots[k]))
+            if parts == 0:
+                continue
+            across = [each[4 * k + a] / sizes[k, a] for a in (1, 2, 3) if sizes[k, a] > 0.0]
+            cost[y] = roots[k]
+            rotated(u, u - each[z], across)
+            rotated(each[y], each[z], [], np.sqrt(2.0 * roots[k]))
         for m, length in enumerate(self._row_sizes()):
             row = np.zeros(width)
             row[: 4 * count] = -self.rows[m].reshape(-1) / length
-            at = begins[2] + m
+            at = begins[1] + m
             cost[at] = row_roots[m]
             rotated(row, each[at], [], np.sqrt(row_roots[m]), self.bound[m] / unit / length)
         matrix = np.vstack(blocks)

@@ -40,7 +40,10 @@ JUDGED = 1e-6
 @dataclass(frozen=True, eq=False)
 class Named:
     """A problem and its known results: status, objective (None: infeasible) and relative digits by
-    method; weights are omega and lambda."""
+    method; weights are omega and lambda.
+
+    tolerance: a larger one than that of the method, where rounding decides whether that is met.
+    """
 
     name: str
     grasp: Grasp
@@ -49,10 +52,12 @@ class Named:
     weights: dict[str, Any]
     elastic: bool
     known: dict[str, dict[str, Any]]
+    tolerance: float
 
     def options(self, method: str) -> dict[str, Any]:
         """Keywords of an optimizer."""
         given = {**METHODS[method], "limits": self.limits, "elastic": self.elastic}
+        given["tolerance"] = max(given["tolerance"], self.tolerance)
         return {**given, **self.weights} if method == "newton" else given
 
     def reference(self) -> Reference:
@@ -86,7 +91,14 @@ def read(entry: dict[str, Any]) -> Named:
                 limits[name] = [np.inf if each is None else each for each in limits[name]]
         limits = ForceLimits(**limits)
     more = entry.get("weights", {}), entry.get("elastic", False), entry.get("known", {})
-    return Named(entry["name"], grasp, np.array(entry["wrench"]), limits, *more)
+    return Named(
+        entry["name"],
+        grasp,
+        np.array(entry["wrench"]),
+        limits,
+        *more,
+        tolerance=entry.get("tolerance", 0.0),
+    )
 
 
 ENTRIES: list[dict[str, Any]] = (

@@ -96,7 +96,7 @@ def judge(grasp: Grasp, solution, margin: Margin = MARGIN) -> None:
     preload = np.broadcast_to(margin.preload, (len(force),))
     assert (used * force[:, 0] <= margin.friction * (force[:, 0] - preload) + 1e-9).all()
     assert solution.cone_margin == pytest.approx(
-        oracle.cone_margin(force, mu, margin.friction, preload), abs=1e-9
+        oracle.cone_margin(force, mu, gamma, margin.friction, preload), abs=1e-9
     )
     whole = np.asarray(solution.wrench) + grasp.matrix[:, ::3] @ preload
     np.testing.assert_allclose(solution.wrench_with_preload, whole, rtol=1e-12, atol=1e-12)

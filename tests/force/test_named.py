@@ -67,7 +67,9 @@ def check(p: Named, method: str, found: ForceSolution, entry: str) -> None:
     assert held.violation(found.force, found.torsion) <= 1e-14 * max(size, most), entry
     known_to = 1e-14 * float((p.grasp.models.cone_scale * np.abs(found.force)).max()) + rounding
     assert (
-        0.0 <= found.cone_margin == pytest.approx(reference.cone_margin(found.force), abs=known_to)
+        0.0
+        <= found.cone_margin
+        == pytest.approx(reference.cone_margin(found.force, found.torsion), abs=known_to)
     ), entry
     assert found.limit_excess == pytest.approx(
         reference.excess(found.force, found.torsion), rel=1e-9
@@ -75,7 +77,7 @@ def check(p: Named, method: str, found: ForceSolution, entry: str) -> None:
     # the objective: of this force, no more than the tolerance and the digits written above the
     # least
     digits = known["digits"]
-    tolerance = METHODS[method]["tolerance"]
+    tolerance = p.options(method)["tolerance"]
     assert found.objective == pytest.approx(
         value(p, method, found, reference), rel=1e-9, abs=1e-14
     ), entry

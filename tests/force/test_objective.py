@@ -3,14 +3,18 @@ the edge of feasibility."""
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 import pytest
 from oracles import phi as oracle
 from problems import GRASPS, OUTSIDE, PAPER_WRENCH, WEIGHTS, closure_grasps, inside_cones
 
-from grasp_env.force import Objective, description_matrix, optimize_force, optimize_forces
+from grasp_env.force import (
+    ForceOptimizer,
+    Objective,
+    Status,
+    description_matrix,
+    optimize_forces,
+)
 from grasp_env.grasp import wrench as wrenches
 
 CUBOID = GRASPS["cuboid, 4"]
@@ -68,17 +72,21 @@ def test_phi_is_infinite_outside_and_on_the_cones():
 
 # the conic problem
 
-conic = partial(optimize_force, method="conic")
-
 
 def test_conic_ends_although_rounding_makes_gaps_negative():
-    """Once in ten thousand wrenches; and a pivot that is rounding is lifted, which saves four
-    iterations."""
+    """Once in ten thousand wrenches."""
     loads = np.random.default_rng(4).standard_normal((20_000, 6)) * [1, 1, 1, 0.1, 0.1, 0.1]
     batch = optimize_forces(CUBOID, loads, method="conic", tolerance=1e-15)
     assert set(np.unique(batch.codes)) <= {0, 1, 2}
     assert (batch.cone_margin >= 0.0).all()
-    assert (
-        conic(CUBOID, PAPER_WRENCH, criterion="max", tolerance=1e-12).raise_for_status().iterations
-        <= 12
-    )
+
+
+def test_a_pivot_of_rounding_is_lifted():
+    """At the last digits the largest normal force takes 13 iterations on average, some twice as
+    many; without the lift it stalls."""
+    loads = np.random.default_rng(3).standard_normal((100, 6)) * [1, 1, 1, 0.1, 0.1, 0.1]
+    solver = ForceOptimizer(CUBOID, method="conic", criterion="max", tolerance=1e-12)
+    found = [solver.solve(load) for load in (PAPER_WRENCH, *loads)]
+    optimal = [each.status is Status.OPTIMAL for each in found]
+    assert sum(optimal) >= 98
+    assert np.mean([each.iterations for each in found]) <= 15.0

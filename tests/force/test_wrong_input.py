@@ -233,7 +233,21 @@ def call(name: str = "solve", **given: Any) -> Callable[[], Any]:
             "unknown option 'tolerence': did you mean 'tolerance'",
         ),
         (partial(Objective().gradient, np.ones(6)), "x must lie strictly inside the cones"),
-        (partial(Objective().value, np.ones(4)), r"x must have shape \(3N,\)"),
+        (partial(Objective().value, np.ones(4)), "x must have 3 numbers for each contact"),
+        (partial(Objective().value, np.ones(5)), "x must have 3 numbers for each contact"),
+        (partial(Objective().value, np.ones(8), [2]), "x must have 3 numbers for each contact"),
+        (partial(Objective().value, np.ones(0), []), "at least one contact"),
+        (partial(Objective().value, np.ones(4), [4]), r"tangential must be 0, 1, 2 or 3, got \[4"),
+        (partial(Objective().value, np.ones(4), [1.5]), "tangential must be 0, 1, 2 or 3"),
+        (partial(Objective().value, np.ones(4), 3), "tangential must"),
+        (
+            partial(Objective().gradient, np.array([1.0, 0.6, 0.0, 0.9]), [3]),
+            "x must lie strictly inside the cones",
+        ),
+        (
+            partial(Objective().of, TRIPOD, ONES[:3], np.zeros(2)),
+            r"torsion must have shape \(3,\)",
+        ),
     ],
 )
 def test_wrong_input(call, message):

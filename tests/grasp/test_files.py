@@ -39,7 +39,12 @@ def test_grasps_come_back_bit_by_bit(tmp_path):
     turned = Grasp.from_contacts(
         base.positions, base.normals, 0.5, tangents=rng.standard_normal((5, 3))
     )
-    for grasp in (presets.tripod(), mixed, turned):
+    # soft contacts may have no torsional friction, some of them or all
+    models["torsional_friction"] = [0, 0.005, 0, 0, 0]
+    some = Grasp.from_contacts(base.positions, base.normals, mu, **models)
+    models["torsional_friction"] = np.zeros(5)
+    none = Grasp.from_contacts(base.positions, base.normals, mu, **models)
+    for grasp in (presets.tripod(), mixed, turned, some, none):
         file = save_grasp(grasp, tmp_path / "new folder" / "grasp.json")
         same(load_grasp(file), grasp)
         first = file.read_bytes()

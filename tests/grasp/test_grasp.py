@@ -129,6 +129,23 @@ def test_arrays_are_the_plain_formulas(count, tangents):
         grasp.cone_margins(force), x[:, 0] - np.hypot(x[:, 1], x[:, 2]), atol=1e-14
     )
     assert grasp.cone_margin(force) == grasp.cone_margins(force).min()
+    # with torsions: v = mu / gamma torsion of the soft one, and of no other
+    turned = np.zeros(count)
+    if count > 3:
+        turned[0] = mu[0, 0] ** 0.5 * mu[0, 1] ** 0.5 / 0.01 * twist[0]
+    four = np.column_stack([x, turned])
+    np.testing.assert_allclose(grasp.to_cone(force, twist), four.reshape(-1), rtol=1e-14)
+    np.testing.assert_allclose(
+        grasp.cone_margins(force, twist),
+        x[:, 0] - np.sqrt(x[:, 1] ** 2 + x[:, 2] ** 2 + turned**2),
+        rtol=1e-14,
+        atol=1e-14,
+    )
+    assert grasp.cone_margin(force, twist) == grasp.cone_margins(force, twist).min()
+    parts = {"soft": 3, "frictionless": 0, "hard": 2}
+    np.testing.assert_array_equal(
+        grasp.models.tangential, [parts[name] for name in grasp.models.names]
+    )
 
 
 def test_rank_is_that_of_the_singular_values():

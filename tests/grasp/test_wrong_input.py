@@ -68,7 +68,15 @@ def placed(positions: Any) -> Callable[[], Grasp]:
         (made(tangents=np.ones((2, 3))), "tangents must have shape"),
         (made(contact_model="soft"), "soft contacts need torsional_friction"),
         (made(contact_model=["hard"] * 2), "one name or 3 of them, got 2"),
-        (made(contact_model="soft", torsional_friction=0.0), "torsional_friction must lie within"),
+        (made(contact_model="soft", torsional_friction=-0.1), "torsional_friction must lie within"),
+        (
+            made(contact_model="soft", torsional_friction=[0.1, 0.0, -1e-9]),
+            "at every soft contact, or be 0, got",
+        ),
+        (
+            made(contact_model="soft", torsional_friction=1e-16),
+            "torsional_friction must lie within 1e-15",
+        ),
         (
             made(contact_model="soft", torsional_friction=[0.1]),
             r"torsional_friction must have shape \(\) or \(3,\)",

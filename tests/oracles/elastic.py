@@ -62,22 +62,30 @@ def penalised(
     long double if the numbers are.
     """
     normals = given["normals"]
-    mu = given["friction"][:, 0]
-    count = len(given["normals"])
+    count = len(normals)
+    friction = given["friction"][:, 0]
+    mu = np.where(friction > 0.0, friction, 1.0)
+    gamma = given.get("torsional_friction", np.zeros(count))
     omega = given.get("force_weight", np.full(count, 1.0))
     lam = given.get("barrier_weight", np.full(count, 0.01))
-    gamma = given.get("torsional_friction", np.zeros(count))
-    soft = gamma > 0.0
     force = answer[: 3 * count].reshape(count, 3)
     torsion = answer[3 * count :]
     pressure = (force * normals).sum(1)
-    u = mu * pressure
-    s = np.sqrt(((force - pressure[:, None] * normals) ** 2).sum(1))
-    v = mu * torsion / np.where(soft, gamma, 1.0)
-    if not ((s < u).all() and (np.abs(v) < u)[soft].all()):
-        return np.float64(np.inf)
-    total = (3.0 * omega * u + lam * (1.0 / u + 1.0 / (u - s) + 1.0 / (u + s))).sum()
-    total += (lam * (1.0 / (u - v) + 1.0 / (u + v)))[soft].sum()
+    total = answer.dtype.type(0.0)
+    for i in range(count):
+        u = mu[i] * pressure[i]
+        square = answer.dtype.type(0.0)
+        parts = 0  # tangential: two of friction, one of torsion
+        if friction[i] > 0.0:
+            square += ((force[i] - pressure[i] * normals[i]) ** 2).sum()
+            parts += 2
+        if gamma[i] > 0.0:
+            square += (mu[i] / gamma[i] * torsion[i]) ** 2
+            parts += 1
+        s = np.sqrt(square)
+        if not s < u:
+            return np.float64(np.inf)
+        total += 3.0 * omega[i] * u + lam[i] * ((parts - 1) / u + 2.0 * u / ((u - s) * (u + s)))
     if "max_normal" in given:
         total += sum(map(_barrier, given["max_normal"] - pressure, 1.0 / mu, lam, omega))
     for j in range(given["jacobian"].shape[2] if "jacobian" in given else 0):
@@ -86,8 +94,8 @@ def penalised(
         if given["jacobian"].shape[1] == 6:
             turn = (given["jacobian"][:, 3:, j] * normals).sum(1)
         along = (lever * normals).sum(1)
-        spun = gamma * turn
-        sizes = ((along + spun) / mu) ** 2 + (lever**2).sum(1) - along**2 + (spun / mu) ** 2
+        across = np.where(friction > 0.0, (lever**2).sum(1) - along**2, 0.0)
+        sizes = (along / mu) ** 2 + across + (gamma * turn / mu) ** 2
         touched = sizes > 0.0
         torque = (lever * force).sum() + (turn * torsion).sum()
         for sign in (1.0, -1.0):
@@ -108,7 +116,7 @@ def _barrier(
 ) -> np.floating | float:
     """The elastic barrier of a limit a .
 
-    z <= bound, `room` away from it; the row has the length `size` in (u, o, t, u - v).
+    z <= bound, `room` away from it; the row has the length `size` in (u, o, t, v).
 
     Below 0.1 sqrt(weight / omega), weight / slack goes on as a parabola with the same value, slope
     and curvature.

@@ -1,6 +1,7 @@
 """The full linearly constrained gradient flow on vec(P) (paper, Eqs. 6-12): dense.
 
-matrix is G (6, 3N) in cone coordinates, weights (N, 2) omega and lambda.
+matrix is G (6, 3N) in cone coordinates, weights (N, 3) those of `phi.py`, (N, 2) those of hard
+contacts. P of a frictionless contact is u times the identity.
 """
 
 from __future__ import annotations
@@ -51,10 +52,22 @@ def start(x: np.ndarray) -> np.ndarray:
     return whole.reshape(-1, order="F")
 
 
+def matrix_weights(weights: np.ndarray) -> np.ndarray:
+    """(N, 2) omega and lambda of W_p and W_i.
+
+    tr P^-1 counts 1/u of a frictionless contact three times, Phi once.
+    """
+    out = np.array(weights[:, :2], dtype=float)
+    if weights.shape[1] == 3:
+        assert np.isin(weights[:, 2], (-1.0, 1.0)).all()
+        out[:, 1] /= np.where(weights[:, 2] < 0.0, 3.0, 1.0)
+    return out
+
+
 def drive(state: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """vec(P^-1 W_i P^-1 - W_p) at vec(P)."""
     inverse = np.linalg.inv(_matrix(state))
-    omega, lam = np.repeat(weights, 3, axis=0).T
+    omega, lam = np.repeat(matrix_weights(weights), 3, axis=0).T
     return (inverse * lam @ inverse - np.diag(omega)).reshape(-1, order="F")
 
 

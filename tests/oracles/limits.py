@@ -1,8 +1,7 @@
 """Newton on Phi within limits A z <= b, by the dense KKT system: Phi gains weight / (b - A z) for
 each row.
 
-z holds the cone coordinates (3N,), and then variables that only the rows and the balance know, such
-as torsions of soft contacts.
+z (w N,) holds the cone coordinates of every contact, w = 3 or 4 numbers each.
 """
 
 from __future__ import annotations
@@ -16,8 +15,8 @@ from oracles.phi import gradient, hessian, phi
 
 
 class Terms(NamedTuple):
-    """Phi of contacts with limits: weights (N, 2) omega and lambda; rows A (M, n), bound (M,) and
-    weights of the rows (M,)."""
+    """Phi of contacts with limits: weights (N, 3) of `phi.py`; rows A (M, w N), bound (M,) and weights
+    of the rows (M,)."""
 
     weights: np.ndarray
     rows: np.ndarray
@@ -33,22 +32,15 @@ def value(z: np.ndarray, terms: Terms) -> np.floating:
     """+inf unless strictly inside."""
     slack = terms.bound - terms.rows @ z
     inside = (slack > 0.0).all()
-    return (
-        phi(z[: 3 * len(terms.weights)], terms.weights) + (terms.row_weights / slack).sum()
-        if inside
-        else np.inf
-    )
+    return phi(z, terms.weights) + (terms.row_weights / slack).sum() if inside else np.inf
 
 
 def derivatives(z: np.ndarray, terms: Terms) -> tuple[np.ndarray, np.ndarray]:
     """(gradient (n,), Hessian (n, n))."""
     weights, rows, bound, row_weights = terms
-    own = 3 * len(weights)
     slack = bound - rows @ z
-    slope = rows.T @ (row_weights / slack**2)
-    full = rows.T @ ((2.0 * row_weights / slack**3)[:, None] * rows)
-    slope[:own] += gradient(z[:own], weights)
-    full[:own, :own] += hessian(z[:own], weights)
+    slope = gradient(z, weights) + rows.T @ (row_weights / slack**2)
+    full = hessian(z, weights) + rows.T @ ((2.0 * row_weights / slack**3)[:, None] * rows)
     return slope, full
 
 
@@ -83,14 +75,14 @@ def minimum(
 
 def _descent(z: np.ndarray, matrix: np.ndarray, wrench: np.ndarray, terms: Terms) -> np.ndarray:
     """Damped Newton until Phi falls no more."""
-    own = 3 * len(terms.weights)
+    wide = len(z) // len(terms.weights)
     here = value(z, terms)
     for _ in range(300):
         step, decrement = newton_step(z, matrix, wrench, terms)
         slack = terms.bound - terms.rows @ z
         ahead = terms.rows @ step
         far = (0.9 * slack[ahead > 0.0] / ahead[ahead > 0.0]).min(initial=np.inf)
-        alpha = min(1.0, 0.9 * longest_step(z[:own], step[:own]), far)
+        alpha = min(1.0, 0.9 * longest_step(z, step, wide), far)
         if decrement < 1e-18 * here:
             return z
         while alpha > 1e-9 and not value(z + alpha * step, terms) < here:

@@ -1,4 +1,6 @@
-"""A margin within the friction cones, abs(t) <= m mu (n - s): a share m of friction, a preload s.
+"""A margin within the friction cones: a share m of friction, a preload s.
+
+    sqrt((o / mu_o)^2 + (t / mu_t)^2 + (torsion / gamma)^2) <= m (n - s)
 
 f - s n lies in the cones of the friction m mu and m gamma, and balances a shifted wrench within
 shifted limits A f <= b. All is of the contacts that touch: forces (N, 4) are (normal, o, t,
@@ -26,17 +28,19 @@ def friction_used(force: np.ndarray, mu: np.ndarray, gamma: np.ndarray) -> np.nd
     torsion without normal force."""
     used = []
     for f, pair, g in zip(force, mu, gamma, strict=True):
-        used.append(_part(max(_tangential(f, pair), _part(abs(f[3]), g)), f[0]))
+        used.append(_part(_across(f, pair, g), f[0]))
     return np.array(used)
 
 
-def cone_margin(force: np.ndarray, mu: np.ndarray, m: float, preload: np.ndarray) -> float:
-    """The least of m mubar (n - s) - mubar hypot(o / mu_o, t / mu_t), mubar = sqrt(mu_o mu_t);
-    n - s of a frictionless contact."""
+def cone_margin(
+    force: np.ndarray, mu: np.ndarray, gamma: np.ndarray, m: float, preload: np.ndarray
+) -> float:
+    """The least of mubar (m (n - s) - sqrt((o / mu_o)^2 + (t / mu_t)^2 + (torsion / gamma)^2)),
+    mubar = sqrt(mu_o mu_t); n - s of a frictionless contact."""
     margins = []
-    for f, pair, s in zip(force, mu, preload, strict=True):
+    for f, pair, g, s in zip(force, mu, gamma, preload, strict=True):
         mean = np.sqrt(pair[0] * pair[1])
-        margins.append((m * mean or 1.0) * (f[0] - s) - mean * _tangential(f, pair))
+        margins.append((m * mean or 1.0) * (f[0] - s) - mean * _across(f, pair, g))
     return float(min(margins))
 
 
@@ -50,8 +54,8 @@ def proof_slacks(
 ) -> tuple[float, float]:
     """(cones, balance) of a proof (v, y) with limits (A, b), friction (mu, gamma), margin (m, s).
 
-    q = G^T v + A^T y lies in the dual cones, q_n >= m (hypot(mu_o q_o, mu_t q_t) + gamma
-    abs(q_torsion)), and v . (w + G s n) > y . (b - A s n), with y >= 0. Both slacks are relative to
+    q = G^T v + A^T y lies in the dual cones, q_n >= m sqrt((mu_o q_o)^2 + (mu_t q_t)^2 + (gamma
+    q_torsion)^2), and v . (w + G s n) > y . (b - A s n), with y >= 0. Both slacks are relative to
     the largest terms, and not negative but for rounding; the sides of the second are equal where
     the shifted wrench is zero.
     """
@@ -60,7 +64,7 @@ def proof_slacks(
     pushed = np.einsum("rna,r->rna", matrix, twist)
     limited = multipliers[:, None, None] * rows
     q = pushed.sum(axis=0) + limited.sum(axis=0)
-    least = m * (np.hypot(mu[:, 0] * q[:, 1], mu[:, 1] * q[:, 2]) + gamma * np.abs(q[:, 3]))
+    least = m * np.sqrt(((np.column_stack([mu, gamma]) * q[:, 1:]) ** 2).sum(axis=1))
     size = max(np.abs(pushed).max(), np.abs(limited).max(initial=0.0))
     work = twist @ shifted_wrench(matrix, wrench, preload)
     price = multipliers @ shifted_bound(rows, bound, preload)
@@ -69,8 +73,10 @@ def proof_slacks(
     return float((q[:, 0] - least).min() / size), float((work - price) / (terms or 1.0))
 
 
-def _tangential(force: np.ndarray, mu: np.ndarray) -> float:
-    return float(np.hypot(_part(force[1], mu[0]), _part(force[2], mu[1])))
+def _across(force: np.ndarray, mu: np.ndarray, gamma: float) -> float:
+    """sqrt((o / mu_o)^2 + (t / mu_t)^2 + (torsion / gamma)^2)."""
+    parts = (_part(part, most) for part, most in zip(force[1:], (*mu, gamma), strict=True))
+    return float(np.sqrt(sum(part**2 for part in parts)))
 
 
 def _part(part: float, whole: float) -> float:

@@ -1,4 +1,8 @@
-"""Newton on Phi under balance G x + w = 0, by the dense KKT system, and what follows from it."""
+"""Newton on Phi under balance G x + w = 0, by the dense KKT system, and what follows from it.
+
+x (w N,) holds the cone coordinates of every contact, w = 3 or 4 numbers each, and matrix (6, w N)
+is G; weights (N, 3) are those of `phi.py`.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +14,7 @@ from oracles.phi import gradient, hessian, phi
 def newton_step(
     x: np.ndarray, matrix: np.ndarray, wrench: np.ndarray, weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """(step (3N,), multipliers (6,), squared decrement -grad .
+    """(step (w N,), multipliers (6,), squared decrement -grad .
 
     step) of min Phi s.t. G (x + step) + w = 0, from x strictly inside.
     """
@@ -89,7 +93,7 @@ def descent(
     wrench = wrench.astype(np.longdouble)
     for _ in range(500):
         step, multipliers, decrement = newton_step(x, matrix, wrench, weights)
-        alpha = min(1.0, 0.9 * longest_step(x, step))
+        alpha = min(1.0, 0.9 * longest_step(x, step, len(x) // len(weights)))
         value = phi(x, weights)
         if decrement < 1e-18 * value:
             return (x + alpha * step).astype(float), multipliers.astype(float)
@@ -102,14 +106,15 @@ def descent(
 
 
 def internal_force(matrix: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """(3N,) the optimum without a wrench, from the cones' axes; ArithmeticError without force
+    """(w N,) the optimum without a wrench, from the cones' axes; ArithmeticError without force
     closure."""
-    x = np.zeros(3 * len(weights))
+    x = np.zeros(matrix.shape[1])
+    wide = len(x) // len(weights)
     nothing = np.zeros(6)
-    x[0::3] = np.sqrt(weights[:, 1] / weights[:, 0])
+    x[::wide] = np.sqrt(weights[:, 1] / weights[:, 0])
     for _ in range(100):
         step = newton_step(x, matrix, nothing, weights)[0]
-        x = x + min(1.0, 0.9 * longest_step(x, step)) * step
+        x = x + min(1.0, 0.9 * longest_step(x, step, wide)) * step
         found = balanced(x, matrix, nothing)
         if phi(found, weights) < np.inf:
             return descent(found, matrix, nothing, weights)[0]
@@ -119,7 +124,7 @@ def internal_force(matrix: np.ndarray, weights: np.ndarray) -> np.ndarray:
 
 
 def twelve_basis(matrix: np.ndarray, weights: np.ndarray, rest: np.ndarray) -> np.ndarray:
-    """(13, 3N) the optima for the wrenches +e_1..+e_6, -e_1..-e_6 and for none, in cone coordinates
+    """(13, w N) the optima for the wrenches +e_1..+e_6, -e_1..-e_6 and for none, in cone coordinates
     (paper, Sec. III).
 
     matrix is that of wrenches as given (N, N m); rest an internal force strictly inside the cones.

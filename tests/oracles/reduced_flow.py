@@ -1,7 +1,7 @@
 """The paper's contribution: the flow on the 3N force components, VP_{k+1} = VP_k + alpha_k Q_bar
 VWP_k (Eqs. 18-26).
 
-matrix is G (6, 3N) in cone coordinates, weights (N, 2) omega and lambda.
+matrix is G (6, 3N) in cone coordinates, weights as for `full_flow.py`.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from oracles.descent import Landscape
-from oracles.full_flow import projector
+from oracles.full_flow import matrix_weights, projector
 from oracles.phi import gradient, hessian, phi
 
 METRIC = np.array([3.0, 2.0, 2.0])
@@ -71,7 +71,7 @@ def reduced_projector(matrix: np.ndarray) -> np.ndarray:
 def flow_vector(x: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """VWP (9N,): the blocks P_i^-1 W_i P_i^-1 - W_p at VP = x, column by column (Eqs. 22-25)."""
     parts = []
-    for (u, o, t), (omega, lam) in zip(x.reshape(-1, 3), weights, strict=True):
+    for (u, o, t), (omega, lam) in zip(x.reshape(-1, 3), matrix_weights(weights), strict=True):
         inverse = np.linalg.inv(np.array([[u, 0.0, o], [0.0, u, t], [o, t, u]]))
         block = lam * inverse @ inverse - omega * np.eye(3)
         parts.append(block.reshape(-1, order="F"))

@@ -45,7 +45,7 @@ def scores(
         for wrench in wrenches[list(indices)]:
             raw = model.raw(varied, wrench)
             start = alone(varied, wrench)
-            gap = model.objective.value(varied.to_cone(start)) / exact.solve(wrench).objective - 1.0
+            gap = model.objective.of(varied, start) / exact.solve(wrench).objective - 1.0
             flow_steps = reduced.solve(wrench, initial=start).iterations if flow else 0
             newton_steps = newton.solve(wrench, initial=start).iterations
             outside = varied.cone_margin(raw) <= 0.0

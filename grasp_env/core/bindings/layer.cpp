@@ -89,7 +89,7 @@ class Problems {
       std::fill_n(data, row * (to - from), 0.0);  // the tuple holds the array
     }
     nb::gil_scoped_release free;
-    optimal_forces_gradients(chosen, states[from], forces[from], turns[from], multipliers[from],
+    optimal_forces_gradients(chosen, states[from], {forces[from], turns[from], multipliers[from]},
                              elastic, targets);
   }
 

@@ -201,6 +201,23 @@ nb::typed<nb::tuple, int, int, double> deepest(ForceOptimizer& on, nb::handle wr
   return nb::make_tuple(int(deepest.code), deepest.iterations, deepest.margin);
 }
 
+nb::typed<nb::tuple, int, int, bool, double, double> payload(
+    ForceOptimizer& on, nb::handle direction, nb::handle wrench, double tolerance, nb::handle force,
+    nb::handle torsion, nb::handle twist, nb::handle multipliers) {
+  const Numbers along = in(direction, 6);
+  const Numbers load = in(wrench, 6);
+  const Numbers to = out(force, on.count, 3);
+  const Numbers turn = out(torsion, on.count);
+  const Numbers proof = out(twist, 6);
+  const Numbers prices = out(multipliers, on.size() - grasp::record_size(on.count, on.joints, 0));
+  const grasp::Payload payload =
+      on.payload(grasp::Wrench(along.data(), 6), grasp::Wrench(load.data(), 6), to.numbers(),
+                 turn.numbers(), prices.numbers(), tolerance);
+  std::ranges::copy(payload.twist, proof.data());
+  return nb::make_tuple(int(payload.code), payload.iterations, payload.unbounded, payload.load,
+                        payload.bound);
+}
+
 void set_basis(ForceOptimizer& on, nb::handle basis) {
   on.set_basis(in(basis, 13, 3 * on.count).numbers());
 }
@@ -295,6 +312,13 @@ void bind_optimizer(nb::module_& m) {
            "Compute that basis into `basis` and use it; warm: `basis` holds that of nearby "
            "contacts.\n"
            "Return the worst relative gap; inf: not converged, nan: no force closure.")
+      .def(
+          "payload", &payload, "direction"_a, "wrench"_a, "tolerance"_a, "force"_a, "torsion"_a,
+          "twist"_a, "multipliers"_a,
+          "Find the largest k for which forces hold wrench + k direction, (6,) each, with force "
+          "(N, "
+          "3), torsion (N,), twist (6,) and multipliers (M,). Return (code, iterations, unbounded, "
+          "k, bound).")
       .def("deepest", &deepest, "wrench"_a, "force"_a, "torsion"_a, "twist"_a,
            "Find the force (N, 3) and torsion (N,) deepest inside cones and limits, or the twist "
            "(6,) that proves that\n"

@@ -53,26 +53,28 @@ void make_problem(OwnProblem* self, const Contacts& contacts, nb::handle weights
   new (self) OwnProblem(std::move(problem));
 }
 
-Method method_of(std::string_view name) {
-  constexpr std::array<std::pair<std::string_view, Method>, 4> METHODS{
-      {{"newton", Method::newton},
-       {"reduced_flow", Method::reduced_flow},
-       {"full_flow", Method::full_flow},
-       {"conic", Method::conic}}};
-  for (const auto& [known, method] : METHODS)
-    if (name == known) return method;
-  throw nb::value_error("no such method");
+template <class T, std::size_t N>
+T named(const std::pair<std::string_view, T> (&all)[N], std::string_view name) {
+  for (const auto& [known, value] : all)
+    if (name == known) return value;
+  throw nb::value_error("no such name");
 }
+constexpr std::pair<std::string_view, Method> METHODS[] = {{"newton", Method::newton},
+                                                           {"reduced_flow", Method::reduced_flow},
+                                                           {"full_flow", Method::full_flow},
+                                                           {"conic", Method::conic}};
+constexpr std::pair<std::string_view, Criterion> CRITERIA[] = {
+    {"sum", Criterion::sum}, {"max", Criterion::largest}, {"torque", Criterion::torque}};
 Start start_of(int start) {
   if (start < 0 || start > int(Start::central)) throw nb::value_error("no such start");
   return Start(start);
 }
 
-void make_options(Options* self, const char* method, bool largest, int start, double tolerance,
-                  int limit, bool elastic, nb::handle step_rule, const Model* model,
-                  bool remembers) {
-  Options options{.method = method_of(method),
-                  .criterion = largest ? Criterion::largest : Criterion::sum,
+void make_options(Options* self, const char* method, const char* criterion, int start,
+                  double tolerance, int limit, bool elastic, nb::handle step_rule,
+                  const Model* model, bool remembers) {
+  Options options{.method = named(METHODS, method),
+                  .criterion = named(CRITERIA, criterion),
                   .start = start_of(start),
                   .tolerance = tolerance,
                   .limit = limit,
@@ -107,10 +109,10 @@ void bind_problem(nb::module_& m) {
            "or None.\n"
            "margin: None, a float, or an object with `friction` and `preload`.");
   nb::class_<Options>(m, "Options", "`grasp::Options`.")
-      .def("__init__", &make_options, nb::kw_only(), "method"_a = "newton", "largest"_a = false,
+      .def("__init__", &make_options, nb::kw_only(), "method"_a = "newton", "criterion"_a = "sum",
            "start"_a = 0, "tolerance"_a = 0.0, "limit"_a = 20000, "elastic"_a = false,
            "step_rule"_a.none() = nb::none(), "model"_a.none() = nb::none(), "remembers"_a = true,
-           "largest: True for `Criterion::largest`; start: index into the names of `Start`;\n"
+           "criterion: sum, max or torque; start: index into the names of `Start`;\n"
            "step_rule: (5,) kind, first, grow, shrink, decrease.");
   nb::class_<OwnRequest>(
       m, "Request",

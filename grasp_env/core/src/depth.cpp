@@ -3,3 +3,5 @@
 
 template class grasp::detail::Depth<3>;
 template class grasp::detail::Depth<4>;
+template class grasp::detail::LargestLoad<3>;
+template class grasp::detail::LargestLoad<4>;

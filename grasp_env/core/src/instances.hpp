@@ -14,8 +14,10 @@
   how template class PhiRows<DoubleDouble, D>;                                                    \
   how template Code detail::ProgramOn<D>::write_phi(PhiRows<DoubleDouble, D>&, Code, const Call&, \
                                                     const Record&, double*);                      \
+  how template void detail::ProgramOn<D>::place_norm(InteriorPoint<DoubleDouble, D, 0>&);         \
   how template Deepest detail::Depth<D>::find<DoubleDouble>(const double*, double,                \
-                                                            detail::Depth<D>::Field&);
+                                                            detail::Depth<D>::Field&);            \
+  how template bool detail::LargestLoad<D>::solve<DoubleDouble>(int&);
 #define GRASP_CAREFUL_ENGINE(how, D, T)                                                \
   how template class RowSystem<DoubleDouble, D, T>;                                    \
   how template class InteriorPoint<DoubleDouble, D, T>;                                \
@@ -45,6 +47,8 @@ extern template struct Constraints<3>;
 extern template struct Constraints<4>;
 extern template class Depth<3>;
 extern template class Depth<4>;
+extern template class LargestLoad<3>;
+extern template class LargestLoad<4>;
 extern template class ProgramOn<3>;
 extern template class ProgramOn<4>;
 

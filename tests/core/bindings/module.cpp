@@ -14,6 +14,7 @@ NB_MODULE(_core_test, m) {
   m.def("successor", [](int number) { return number + 1; });
 #endif
   bind_allocations(m);
+  bind_elastic(m);
   bind_geometry(m);
   bind_hand(m);
   bind_optimizer(m);

@@ -7,6 +7,7 @@ namespace nb = nanobind;
 using namespace nb::literals;
 
 void bind_allocations(nb::module_& m);
+void bind_elastic(nb::module_& m);
 void bind_geometry(nb::module_& m);
 void bind_hand(nb::module_& m);
 void bind_optimizer(nb::module_& m);

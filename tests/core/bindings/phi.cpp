@@ -15,11 +15,14 @@ template <class V> V column(const In& a, size_t first, size_t which) {
     set(out, n, a.data()[std::min(first + n, rows - 1) * columns + which]);
   return out;
 }
-template <class V> Vec3<V> triple(const In& a, size_t k) {
-  return {column<V>(a, k, 0), column<V>(a, k, 1), column<V>(a, k, 2)};
+template <class V, int D> Vec<V, D> vector(const In& a, size_t k) {
+  Vec<V, D> out;
+  for (int c = 0; c < D; ++c) out[c] = column<V>(a, k, c);
+  return out;
 }
-template <class V> Weights<V> pair(const In& a, size_t k) {
-  return {column<V>(a, k, 0), column<V>(a, k, 1)};
+// Weights (n, 3) omega, lambda, k - 1.
+template <class V, int D> Weights<V, D> weights_in(const In& a, size_t k) {
+  return fitted<D>(Weights<V, 4>{column<V>(a, k, 0), column<V>(a, k, 1), column<V>(a, k, 2)});
 }
 
 // (rows of x, COLUMNS) numbers: f(V{}, first row of a register, out) fills the columns of a
@@ -40,61 +43,91 @@ template <size_t COLUMNS, class F> nb::object over(int lanes, const In& x, F&& f
   });
 }
 
-nb::object phi_of(int lanes, In x, In weights) {
+// The functions below are of vectors of D numbers.
+template <int D> nb::object phi_of(int lanes, const In& x, const In& weights) {
   return over<1>(lanes, x, [&]<class V>(V, size_t k, auto& out) {
-    out[0] = phi(triple<V>(x, k), pair<V>(weights, k));
+    out[0] = phi(vector<V, D>(x, k), weights_in<V, D>(weights, k));
   });
 }
-nb::object gradient_of(int lanes, In x, In weights) {
-  return over<3>(lanes, x, [&]<class V>(V, size_t k, auto& out) {
-    const Vec3<V> g = gradient(triple<V>(x, k), pair<V>(weights, k));
-    out = {g.u, g.o, g.t};
+template <int D> nb::object gradient_of(int lanes, const In& x, const In& weights) {
+  return over<D>(lanes, x, [&]<class V>(V, size_t k, auto& out) {
+    const Vec<V, D> g = gradient(vector<V, D>(x, k), weights_in<V, D>(weights, k));
+    for (int c = 0; c < D; ++c) out[c] = g[c];
   });
 }
 // (n, 2): Phi as it comes with its gradient, its curvature along a move
-nb::object along_of(int lanes, In x, In move, In weights) {
+template <int D> nb::object along_of(int lanes, const In& x, const In& move, const In& weights) {
   return over<2>(lanes, x, [&]<class V>(V, size_t k, auto& out) {
-    const Vec3<V> at = triple<V>(x, k);
-    Vec3<V> unused;
-    out = {phi(at, pair<V>(weights, k), unused),
-           curvature(at, triple<V>(move, k), pair<V>(weights, k))};
+    const Vec<V, D> at = vector<V, D>(x, k);
+    Vec<V, D> unused;
+    out = {phi(at, weights_in<V, D>(weights, k), unused),
+           curvature(at, vector<V, D>(move, k), weights_in<V, D>(weights, k))};
   });
 }
-nb::object inverse_hessian_of(int lanes, In x, In weights) {
-  return over<9>(lanes, x, [&]<class V>(V, size_t k, auto& out) {
-    const Sym3<V> h = inverse_hessian(triple<V>(x, k), pair<V>(weights, k));
-    out = {h.uu, h.uo, h.ut, h.uo, h.oo, h.ot, h.ut, h.ot, h.tt};
+// (n, D * D): row c is the block times axis c
+template <int D> nb::object inverse_hessian_of(int lanes, const In& x, const In& weights) {
+  return over<D * D>(lanes, x, [&]<class V>(V, size_t k, auto& out) {
+    const Sym<V, D> h = inverse_hessian(vector<V, D>(x, k), weights_in<V, D>(weights, k));
+    for (int c = 0; c < D; ++c) {
+      Vec<V, D> unit{};
+      unit[c] = all<V>(1.0);
+      const Vec<V, D> row = h * unit;
+      for (int r = 0; r < D; ++r) out[D * c + r] = row[r];
+    }
+  });
+}
+// (n, D * D + 4): the axes, then the gradient of squeezing along the first two, and of the barrier
+template <int D> nb::object axes_of(int lanes, const In& x, const In& weights) {
+  return over<D * D + 4>(lanes, x, [&]<class V>(V, size_t k, auto& out) {
+    const Axes<V, D> axes(vector<V, D>(x, k), weights_in<V, D>(weights, k));
+    for (int c = 0; c < D; ++c)
+      for (int r = 0; r < D; ++r) out[D * c + r] = axes[c][r];
+    out[D * D] = axes.squeeze.along;
+    out[D * D + 1] = axes.squeeze.inward;
+    out[D * D + 2] = axes.barrier.along;
+    out[D * D + 3] = axes.barrier.inward;
   });
 }
 // (n, 2): value and room
-nb::object dual_of(int lanes, In y, In weights) {
+template <int D> nb::object dual_of(int lanes, const In& y, const In& weights) {
   return over<2>(lanes, y, [&]<class V>(V, size_t k, auto& out) {
-    out[0] = dual(triple<V>(y, k), pair<V>(weights, k), out[1]);
+    out[0] = dual(vector<V, D>(y, k), weights_in<V, D>(weights, k), out[1]);
   });
 }
-nb::object dual_near_of(int lanes, In y, In weights, In x, double tight) {
+template <int D>
+nb::object dual_near_of(int lanes, const In& y, const In& weights, const In& x, double tight) {
   return over<2>(lanes, y, [&]<class V>(V, size_t k, auto& out) {
-    out[0] = dual_near(triple<V>(y, k), pair<V>(weights, k), triple<V>(x, k), tight, out[1]);
+    out[0] = dual_near(vector<V, D>(y, k), weights_in<V, D>(weights, k), vector<V, D>(x, k), tight,
+                       out[1]);
   });
 }
 // (n, 3): away, along, and 1 / (largest step inside)
-nb::object boundary_of(int lanes, In x, In move) {
+template <int D> nb::object boundary_of(int lanes, const In& x, const In& move) {
   return over<3>(lanes, x, [&]<class V>(V, size_t k, auto& out) {
-    const Boundary<V> edge(triple<V>(x, k));
-    const Vec3<V> by = triple<V>(move, k);
+    const Boundary edge(vector<V, D>(x, k));
+    const Vec<V, D> by = vector<V, D>(move, k);
     const auto way = edge.way(by);
     out = {way.away, way.along, edge.per(by)};
+  });
+}
+
+// Define f as three(arguments) or four(arguments), for rows of x of three numbers or of four.
+template <class... Rest, class Function>
+void define(nb::module_& m, const char* name, Function three, Function four) {
+  m.def(name, [=](int lanes, In x, Rest... rest) {
+    return (x.shape(1) == 4 ? four : three)(lanes, x, rest...);
   });
 }
 
 }  // namespace
 
 void bind_phi(nb::module_& m) {
-  m.def("phi", &phi_of);
-  m.def("gradient", &gradient_of);
-  m.def("along", &along_of);
-  m.def("inverse_hessian", &inverse_hessian_of);
-  m.def("dual", &dual_of);
-  m.def("dual_near", &dual_near_of);
-  m.def("boundary", &boundary_of);
+  define<In>(m, "phi", &phi_of<3>, &phi_of<4>);
+  define<In>(m, "gradient", &gradient_of<3>, &gradient_of<4>);
+  define<In, In>(m, "along", &along_of<3>, &along_of<4>);
+  define<In>(m, "inverse_hessian", &inverse_hessian_of<3>, &inverse_hessian_of<4>);
+  define<In>(m, "axes", &axes_of<3>, &axes_of<4>);
+  define<In>(m, "dual", &dual_of<3>, &dual_of<4>);
+  define<In, In, double>(m, "dual_near", &dual_near_of<3>, &dual_near_of<4>);
+  define<In>(m, "boundary", &boundary_of<3>, &boundary_of<4>);
 }

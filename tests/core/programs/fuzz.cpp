@@ -153,7 +153,7 @@ void check(const Case& g, const double* wrench, const Options& options, const Re
     const double side = slips ? 0.0 : std::hypot(f[1] / g.mu(i, 0), f[2] / g.mu(i, 1));
     const double gamma = g.torsion(i);
     require(gamma > 0.0 || turn == 0.0, "torsion of a hard contact", record, turn);
-    const double needed = std::max(side, gamma > 0.0 ? std::abs(turn) / gamma : 0.0);
+    const double needed = std::hypot(side, gamma > 0.0 ? turn / gamma : 0.0);
     const double room = f[0] - g.preload[i] - needed / g.share;
     require(room >= (inner ? -1e-14 * f[0] : -INSIDE * std::max(f[0], most)), "outside a cone",
             record, room);

@@ -67,7 +67,7 @@ class Quality:
     ) -> Quality:
         """Evaluate a force (N, 3) in contact frames; `least_phi` is Phi at the optimum."""
         size = max(float(np.abs(force).max()), 1e-300)
-        gap = max(0.0, objective.value(grasp.to_cone(force)) / least_phi - 1.0)
+        gap = max(0.0, objective.of(grasp, force) / least_phi - 1.0)
         return cls(gap, grasp.cone_margin(force) / size, grasp.residual(force, load) / size)
 
     def reason(self) -> str | None:
@@ -162,7 +162,7 @@ def trials(
         _, least_phi = optimizers.optimum(grasp, load)
         common = {"case": name, "problem": number, "group": case.group, "event": case.event or None}
         paper_force = _paper_start(starts, grasp, load)
-        paper_phi = None if paper_force is None else objective.value(grasp.to_cone(paper_force))
+        paper_phi = None if paper_force is None else objective.of(grasp, paper_force)
         for key, start in starts.items():
             row = {**common, "start": key}
             try:
@@ -178,7 +178,7 @@ def trials(
             row |= quality.columns("start_")
             reason = quality.reason()
             if paper_phi is not None and reason is None:
-                row["start_excess"] = objective.value(grasp.to_cone(force)) / paper_phi - 1.0
+                row["start_excess"] = objective.of(grasp, force) / paper_phi - 1.0
                 row["start_replaced"] = key not in RULES and start_replaced(grasp, load, force)
             if reason is None:
                 row["start_slope"] = _slope(previous_starts.get(key), case, force)

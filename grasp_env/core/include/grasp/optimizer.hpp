@@ -81,6 +81,15 @@ class ForceOptimizer {
   Deepest deepest(Wrench wrench, std::span<double> force, std::span<double> torsion) {
     return engine_->deepest(wrench.data(), force.data(), torsion.data());
   }
+  // Find the largest load k along a direction, in addition to a wrench, that forces hold within
+  // cones, margin and limits: `wrench + k direction`. Writes the force (N, 3) [N] and torsion (N,)
+  // [N m] that hold it, and the multipliers (M,) of the limits, of the bound or the proof.
+  Payload payload(Wrench direction, Wrench wrench, std::span<double> force,
+                  std::span<double> torsion, std::span<double> multipliers,
+                  double tolerance = 1e-6) {
+    return engine_->payload(direction.data(), wrench.data(), tolerance, force.data(),
+                            torsion.data(), multipliers.data());
+  }
   // The wrench without its part that no forces of the touching contacts make, whatever their signs;
   // nothing if it has no such part or if no contact touches. Two hard contacts, for example, make
   // no moment about the line through them.

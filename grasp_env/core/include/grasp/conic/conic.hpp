@@ -124,7 +124,7 @@ template <class V, int B> class ConicSolver : public ConicSteps<V, B> {
   // fraction of the twist by which a proof must be strict
   static constexpr double ROUNDING = 1e-12;
   Field force_, first_;  // the forces that are written
-  LaneQr6<V> qr_;
+  LaneQr6<V, 3> qr_;
   std::vector<double> fitted_;  // scaled, in the axes
   using Steps::blocks;
 
@@ -172,15 +172,14 @@ template <class V, int B> class ConicSolver : public ConicSteps<V, B> {
     Vec3<V> axis[3];
     V size[3];  // of the root of M: sqrt(eta) times v_0 + |v|, 1 / (v_0 + |v|), 1
 
-    explicit RootAxes(const Scaling<V>& m) {
+    explicit RootAxes(const Scaling<V, 3>& m) {
       const V half = all<V>(0.70710678118654752440);
-      const V s = sqrt(m.v.o * m.v.o + m.v.t * m.v.t);
+      const V s = tangent_length(m.v);
       const V root = sqrt(m.eta);
-      const V o = s > 1e-140 ? m.v.o / s : all<V>(1.0);
-      const V t = s > 1e-140 ? m.v.t / s : V{};
-      axis[0] = half * Vec3<V>{all<V>(1.0), o, t};
-      axis[1] = half * Vec3<V>{all<V>(1.0), -o, -t};
-      axis[2] = {V{}, -t, o};
+      const TangentAxes<V, 3> tangents(m.v, s);
+      axis[0] = with_tangents(half, half, tangents.along);
+      axis[1] = with_tangents(half, -half, tangents.along);
+      axis[2] = tangents.across[0];
       size[0] = root * (m.v.u + s);
       size[1] = root / (m.v.u + s);
       size[2] = root;
@@ -189,7 +188,7 @@ template <class V, int B> class ConicSolver : public ConicSteps<V, B> {
   // Factor A, with S = A^T A.
   bool factor_axes() {
     for (int b = 0; b < blocks(); ++b) {
-      const RootAxes m(at[b].m = Scaling<V>(at[b].x, at[b].s));
+      const RootAxes m(at[b].m = Scaling(at[b].x, at[b].s));
       for (int k = 0; k < 3; ++k)
         for (int r = 0; r < 6; ++r)
           qr_.set(b, k, r, m.size[k] * dot(cones.blocks[b].g[r], m.axis[k]));

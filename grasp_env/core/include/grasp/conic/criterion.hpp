@@ -3,8 +3,9 @@
 
 namespace grasp {
 
-// The sum or the largest of omega times normal force. `excess`, of the general program only: the
-// largest relative excess of a limit, t with rows . z <= bound + t share.
-enum class Criterion { sum, largest, excess };
+// The sum or the largest of omega times normal force, or the norm of the joint torques. The general
+// program has two more: `excess`, the largest relative excess of a limit, t with rows . z <= bound
+// + t share; and `load`, the largest load along a ray.
+enum class Criterion { sum, largest, torque, excess, load };
 
 }  // namespace grasp

@@ -5,32 +5,38 @@
 namespace grasp {
 
 // M = eta (2 v v^T - J) takes s to x; its square root is sqrt(eta) * `scaled`.
-template <class T> struct Scaling {
-  Vec3<T> v;
+template <class T, int D> struct Scaling {
+  using X = Vec<T, D>;
+  X v;
   T eta, shrink, root;  // 1 / (1 + v_0), 1 / sqrt(s . J s)
 
   Scaling() = default;
-  Scaling(const Vec3<T>& x, const Vec3<T>& s) {
+  Scaling(const X& x, const X& s) {
     const T i = 1.0 / lorentz(s, s);
     eta = sqrt(lorentz(x, x) * i);
-    const Vec3<T> z{x.u + eta * s.u, x.o - eta * s.o, x.t - eta * s.t};
+    X z = x - eta * s;
+    z.u = x.u + eta * s.u;
     v = (1.0 / sqrt(lorentz(z, z))) * z;
     shrink = 1.0 / (1.0 + v.u);
     root = sqrt(i);
   }
-  Vec3<T> scaled(const Vec3<T>& d) const {
-    const T z = v.o * d.o + v.t * d.t;
-    const T k = d.u + z * shrink;
-    return {v.u * d.u + z, d.o + k * v.o, d.t + k * v.t};
+  X scaled(const X& d) const {
+    const T z = dot_tangents(v, d);
+    X out = d + (d.u + z * shrink) * v;
+    out.u = v.u * d.u + z;
+    return out;
   }
-  Vec3<T> unscaled(const Vec3<T>& d) const {  // inverse of `scaled`
-    const T z = v.o * d.o + v.t * d.t;
-    const T k = z * shrink - d.u;
-    return {v.u * d.u - z, d.o + k * v.o, d.t + k * v.t};
+  X unscaled(const X& d) const {  // inverse of `scaled`
+    const T z = dot_tangents(v, d);
+    X out = d + (z * shrink - d.u) * v;
+    out.u = v.u * d.u - z;
+    return out;
   }
-  Vec3<T> twice(const Vec3<T>& d) const {  // M d
+  X twice(const X& d) const {  // M d
     const T z = 2.0 * dot(v, d);
-    return {eta * (z * v.u - d.u), eta * (z * v.o + d.o), eta * (z * v.t + d.t)};
+    X out = eta * (z * v + d);
+    out.u = eta * (z * v.u - d.u);
+    return out;
   }
 };
 
@@ -41,12 +47,12 @@ template <class V, int B> class ConicSteps {
   using Field = typename Cones<V, B>::Field;
   struct At {
     Vec3<V> x, s;  // primal and dual slack
-    Scaling<V> m;
+    Scaling<V, 3> m;
     Vec3<V> l, d, q;  // scaled point, (scaled) dual direction, dx
     V share, l0;      // share of the `Boundary` at l; 1 / l_0
     Vec3<V> first;    // first x, for the record
 
-    Boundary<V> boundary() const { return {l, m.root, share}; }  // l . J l = s . J s
+    Boundary<V, 3> boundary() const { return {l, m.root, share}; }  // l . J l = s . J s
   };
   Cones<V, B> cones;
   Field rest;  // an internal force strictly inside the cones, with which a start squeezes
@@ -85,7 +91,7 @@ template <class V, int B> class ConicSteps {
     V s[21] = {};
     for (int b = 0; b < blocks(); ++b) {
       const auto& c = cones.blocks[b];
-      const auto& m = at[b].m = Scaling<V>(at[b].x, at[b].s);
+      const auto& m = at[b].m = Scaling(at[b].x, at[b].s);
       V g[6];
 #pragma GCC unroll 8
       for (int r = 0; r < 6; ++r) g[r] = dot(c.g[r], m.v);
@@ -136,7 +142,7 @@ template <class V, int B> class ConicSteps {
       const auto& c = cones.blocks[b];
       c.add_wrench(at[b].x, before);
       const Vec3<V> g = c.transposed(y);
-      steepest = max(steepest, (g.u + sqrt(g.o * g.o + g.t * g.t)) / c.cost);
+      steepest = max(steepest, (g.u + tangent_length(g)) / c.cost);
     }
     const S most = largest(steepest);
     const S theta = select(most > 0.0, 1.0 / most, S(1.0));
@@ -223,11 +229,11 @@ template <class V, int B> class ConicSteps {
       auto& here = at[b];
       const Vec3<V> d = -cones.blocks[b].transposed(dy);
       if constexpr (EXACT) {  // q is dx already
-        dual = max(dual, Boundary<V>(here.s).per(d));
-        primal = max(primal, Boundary<V>(here.x).per(here.q));
+        dual = max(dual, Boundary(here.s).per(d));
+        primal = max(primal, Boundary(here.x).per(here.q));
       } else {
         const Vec3<V> e = here.m.scaled(d);
-        const Boundary<V> edge = here.boundary();
+        const Boundary<V, 3> edge = here.boundary();
         dual = max(dual, edge.per(e));
         primal = max(primal, edge.per(here.d - e));
         here.q -= here.m.twice(d);

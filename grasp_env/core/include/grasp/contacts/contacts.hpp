@@ -67,8 +67,10 @@ class Contacts {
   // (N, 3) cone coordinates = scale * force, force = cone coordinates / divisor
   std::vector<double> scale, divisor;
   std::vector<double> omega, lambda;  // (N,) weights of Phi
-  std::vector<double> torsion;        // (N,) gamma [m] of soft contacts, 0 of others
-  std::vector<double> tangents;       // (N, 3) directions of o; empty: the default rule
+  // (N,) gamma [m] of soft contacts, (|tangential force| / mu)^2 + (torsion / gamma)^2 <= normal^2;
+  // 0 of others
+  std::vector<double> torsion;
+  std::vector<double> tangents;  // (N, 3) directions of o; empty: the default rule
 
   UnitFrame unit;
   std::vector<double> positions, normals;  // (N, 3) as placed
@@ -274,6 +276,19 @@ class Contacts {
   bool soft() const {
     return std::ranges::any_of(torsion, [](double gamma) { return gamma > 0.0; });
   }
+  // Number of tangential parts of contact i: 0 without friction, 2 with it, 1 more with torsion.
+  int tangential(int i) const {
+    return (scale[3 * i + 1] > 0.0) + (scale[3 * i + 2] > 0.0) + (torsion_scale(i) > 0.0);
+  }
+  // v = scale * torsion, in units of u [1 / m]; 0: no torsion is transmitted
+  double torsion_scale(int i) const {
+    return torsion[i] > 0.0 ? taken_scale(scale[3 * i] / torsion[i]) : 0.0;
+  }
+  // The wrench of a unit torsion, unit frame.
+  Vec6 torsion_wrench(int i) const {
+    const Point moment = unit.scale() * point(normals.data() + 3 * i);
+    return {0.0, 0.0, 0.0, moment.u, moment.o, moment.t};
+  }
 
  private:
   static constexpr std::size_t MOST_CONTACTS = 1000;
@@ -346,8 +361,7 @@ class Contacts {
     int next = size;
     for (int i = 0; i < count; ++i) {
       if (!(torsion[i] > 0.0)) continue;
-      const Point moment = unit.scale() * point(normals.data() + 3 * i);
-      const Vec6 column{0.0, 0.0, 0.0, moment.u, moment.o, moment.t};
+      const Vec6 column = torsion_wrench(i);
       set_column(work_.data(), columns, next++, column);
       add_gram(s, column);
     }

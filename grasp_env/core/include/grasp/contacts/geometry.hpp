@@ -2,7 +2,7 @@
 // for one grasp or a register of them. Arrays are row-major.
 #pragma once
 #include <grasp/math/linear6.hpp>
-#include <grasp/math/vec3.hpp>
+#include <grasp/math/vec.hpp>
 
 namespace grasp {
 

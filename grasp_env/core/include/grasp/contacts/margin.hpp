@@ -21,8 +21,8 @@ class PerContact {
   std::span<const double> each_{};
 };
 
-// A contact's cone is |t| <= friction * mu * (n - preload), with the torsion of soft contacts
-// within friction * gamma * (n - preload).
+// A contact's cone is |t| / mu <= friction * (n - preload); with the torsion m of a soft contact,
+// sqrt((|t| / mu)^2 + (m / gamma)^2) <= friction * (n - preload).
 struct Margin {
   double friction = 1.0;  // share of the friction that forces may use: above 0, at most 1
   PerContact preload{};   // [N] normal force that each touching contact has in addition, >= 0
@@ -86,17 +86,17 @@ inline void write_friction_used(const Contacts& contacts, double margin, const R
                                 double* __restrict used) {
   const double* __restrict scale = contacts.scale.data();
   const double* __restrict force = record.force();
+  const double* __restrict torsion = record.torsion();
   const auto part = [](double of, double all) { return of > 0.0 ? of / std::max(all, 0.0) : 0.0; };
   for (int i = 0; i < contacts.count; ++i) {
     const double o = scale[3 * i + 1] * force[3 * i + 1];
     const double t = scale[3 * i + 2] * force[3 * i + 2];
-    used[i] = margin * part(std::sqrt(o * o + t * t), scale[3 * i] * force[3 * i]);
-  }
-  if (!contacts.soft()) return;
-  for (int i = 0; i < contacts.count; ++i) {
-    const double most = contacts.torsion[i] * force[3 * i];
-    const double turn = std::abs(record.torsion()[i]);
-    if (contacts.torsion[i] > 0.0) used[i] = std::max(used[i], margin * part(turn, most));
+    double square = o * o + t * t;
+    if (contacts.torsion[i] > 0.0) {
+      const double v = contacts.torsion_scale(i) * torsion[i];
+      square += v * v;
+    }
+    used[i] = margin * part(std::sqrt(square), scale[3 * i] * force[3 * i]);
   }
 }
 

@@ -23,7 +23,7 @@ template <class T> inline T inner(const Vec3<T>& x, const Vec3<T>& y) {
 
 // P^-1 W_i P^-1 - W_p of one contact (Eqs. 22-25), P = [[u, 0, o], [0, u, t], [o, t, u]], entry (r,
 // c) at 3 c + r.
-template <class T> inline std::array<T, 9> drive(const Vec3<T>& x, const Weights<T>& w) {
+template <class T> inline std::array<T, 9> drive(const Vec3<T>& x, const Weights<T, 3>& w) {
   const auto [u, o, t] = x;
   const T i = 1.0 / (u * lorentz(x, x));
   const T a = (u * u - t * t) * i;

@@ -1,31 +1,35 @@
-// The constraints of a program: balance, cones, torsion, further rows; and their interior points.
+// The constraints of a program: balance, cones, further rows; and their interior points.
 //
-// Contact i has z_i = (u, o, t, w): cone coordinates and, if it is soft, w = u - |torsion| in units
-// of its limit, with a row w <= 2u. Balance uses orthonormal rows, G = L Q, so contacts close to
-// each other cost no digits. If contacts cannot make all wrenches, these rows are along the axes of
-// their reach; the other rows of Q are zero.
+// Contact i has z_i in its cone: (u, o, t), or (u, o, t, v) if some contacts are soft. Balance uses
+// orthonormal rows, G = L Q, so contacts close to each other cost no digits. If contacts cannot
+// make all wrenches, these rows are along the axes of their reach; the other rows of Q are zero.
 #pragma once
 #include <memory>
 #include <grasp/conic/criterion.hpp>
 #include <grasp/contacts/contacts.hpp>
 #include <grasp/general/interior_point.hpp>
+#include <grasp/phi/phi.hpp>
 
 namespace grasp {
 
 // The data of a program; arrays are row-major.
 struct ProgramData {
-  int count, limits;      // N, M
-  const double* frame;    // (6, 6) maps wrenches to the unit frame
-  const double* balance;  // (6, N, 4) of (u, o, t, w), unit frame
-  const double* rows;     // (M, N, 4) of length one: rows . z <= bound; rows of torsion come first
-  const double* bound;    // (M,) [N]
-  const double* weights;  // (N, 2) omega, lambda
+  int count, limits;                  // N, M
+  const double* frame;                // (6, 6) maps wrenches to the unit frame
+  const double* balance;              // (6, N, 4) of (u, o, t, v), unit frame
+  const double* rows;                 // (M, N, 4) of length one: rows . z <= bound
+  const double* bound;                // (M,) [N]
+  const Weights<double, 4>* weights;  // (N,)
   const double* divisor;  // (N, 4) force and torsion from z; inf: nothing is transmitted
   const double* shares;  // (M,) [N] growth of a bound if its limit grows by all of itself; 0: never
   bool elastic;          // the least excess may be requested
   WrenchSpace reach{};   // the wrenches that the contacts can make
   // (N,) [N] normal force in addition to z, which `Criterion::largest` counts; null: none
   const double* preload = nullptr;
+  // for `Criterion::torque`: (J, N, 4) joint torques of z, and (J,) further torques [N m]
+  int joints = 0;
+  const double* torque = nullptr;
+  const double* torque_bias = nullptr;
 };
 
 namespace detail {
@@ -50,42 +54,43 @@ template <int D> struct Constraints {
     Field numbers_;
     std::size_t count_;
   };
-  int count, limits, torsions = 0;  // N, M; the first rows belong to torsion
-  ArenaVector<char> soft;
+  int count, limits;  // N, M
   // normal force of a unit of u; the same, weighted; weighted preload
   ArenaVector<double> price, cost, offset, divisor, bound, shares;
-  ArenaVector<int> torsion_row;  // (N,) -1: not soft
   // (M,) the one contact that a row acts on; N: none, SEVERAL: more than one
   ArenaVector<int> owner;
-  ArenaVector<int> own;                  // rows that act on at most one contact, by contact
-  Matrix balance, limit, turn;           // (6,) G, (M,), (6,) Q
+  ArenaVector<int> own;         // rows that act on at most one contact, by contact
+  Matrix balance, limit, turn;  // (6,) G, (M,), (6,) Q
+  int joints;
+  Matrix torque;                         // (J,) joint torques in units of `torque_unit`
+  ArenaVector<double> bias;              // (J,) further torques, the same
+  double torque_unit = 0.0;              // [m] of the largest row
   double frame[6][6], lower[6][6] = {};  // L
   WrenchSpace reach;
 
   explicit Constraints(const ProgramData& data)
       : count(data.count),
         limits(data.limits),
-        soft(count),
         price(count),
         cost(count),
         offset(count),
         divisor(data.divisor, data.divisor + 4 * count),
         bound(data.bound, data.bound + limits),
         shares(data.shares, data.shares + limits),
-        torsion_row(count, -1),
         owner(limits),
         own(limits),
         balance(6, count),
         limit(limits, count),
         turn(6, count),
+        joints(data.joints),
+        torque(joints, count),
+        bias(data.torque_bias, data.torque_bias + joints),
         reach(data.reach) {
     std::copy(data.frame, data.frame + 36, &frame[0][0]);
     for (int i = 0; i < count; ++i) {
-      soft[i] = divisor[4 * i + 3] < infinity;
       price[i] = 1.0 / divisor[4 * i];
-      cost[i] = data.weights[2 * i] * price[i];
-      offset[i] = data.preload ? data.weights[2 * i] * data.preload[i] : 0.0;
-      if (soft[i]) torsion_row[i] = torsions++;
+      cost[i] = data.weights[i].omega * price[i];
+      offset[i] = data.preload ? data.weights[i].omega * data.preload[i] : 0.0;
     }
     const auto copy = [&](const double* from, int many, Matrix& to) {
       for (int k = 0; k < many; ++k)
@@ -93,13 +98,16 @@ template <int D> struct Constraints {
     };
     copy(data.balance, 6, balance);
     copy(data.rows, limits, limit);
+    copy(data.torque, joints, torque);
+    scale_torques();
     find_owners();
     orthonormalise();
   }
-  static std::size_t bytes_needed(int count, int limits) {
-    return Arena::bytes_needed<char>(count) + 3 * Arena::bytes_needed<double>(count) +
+  static std::size_t bytes_needed(int count, int limits, int joints) {
+    return Arena::bytes_needed<Tuple<double, D>>(std::size_t(joints) * count) +
+           Arena::bytes_needed<double>(joints) + 3 * Arena::bytes_needed<double>(count) +
            Arena::bytes_needed<double>(4 * count) + 2 * Arena::bytes_needed<double>(limits) +
-           Arena::bytes_needed<int>(count) + 2 * Arena::bytes_needed<int>(limits) +
+           2 * Arena::bytes_needed<int>(limits) +
            2 * Arena::bytes_needed<Tuple<double, D>>(6 * count) +
            Arena::bytes_needed<Tuple<double, D>>(std::size_t(limits) * count);
   }
@@ -109,23 +117,43 @@ template <int D> struct Constraints {
   // r of the wrench.
   template <class R, int T>
   InteriorPoint<R, D, T> engine(int many, Criterion criterion = Criterion::sum) const {
-    InteriorPoint<R, D, T> engine(rows<R, T>(many, criterion), soft);
+    InteriorPoint<R, D, T> engine(rows<R, T>(many, criterion));
     if constexpr (T == 1) engine.shared_cost = {R(1.0)};
     if constexpr (T == 2) engine.shared_cost = {R(-1.0), R(0.0)};
-    if constexpr (T == 0)
-      for (int i = 0; i < count; ++i) engine.cost[i][0] = cost[i];
+    if constexpr (T == 0) {
+      if (criterion == Criterion::torque)
+        engine.cost[count + norm_cones() - 1][0] = 1.0;
+      else
+        for (int i = 0; i < count; ++i) engine.cost[i][0] = cost[i];
+    }
     return engine;
+  }
+  // The norm of the torques is a tree of cones behind those of the contacts: each takes the next
+  // SLOTS inputs as its tangential parts, first the torques, then the u of the cones before it. The
+  // u of the last one is the norm.
+  static constexpr int SLOTS = D - 1;
+  static int norm_cones(int joints) { return std::max(1, (joints + SLOTS - 3) / (SLOTS - 1)); }
+  int norm_cones() const { return norm_cones(joints); }
+  static int norm_equations(int joints) { return joints + norm_cones(joints) - 1; }
+  int norm_equations() const { return norm_equations(joints); }
+  // Torques in units of `torque_unit` [N]; size: [N] of a unit of z.
+  double torque_at(int j, Row z, double size) const {
+    return product(torque[j], z) + bias[j] / size;
+  }
+  double torque_norm(Row z, double size) const {
+    double square = 0.0;
+    for (int j = 0; j < joints; ++j) square += torque_at(j, z, size) * torque_at(j, z, size);
+    return std::sqrt(square);
   }
   double largest_offset() const { return *std::max_element(offset.begin(), offset.end()); }
   // The direction into a cone.
   static Tuple<double, D> inwards() {
     Tuple<double, D> out{};
     out[0] = 1.0;
-    if (D == 4) out[D - 1] = 1.0;
     return out;
   }
   // Storage for the results of `write_slacks`.
-  ArenaVector<double> slacks() const { return ArenaVector<double>(2 * count + limits); }
+  ArenaVector<double> slacks() const { return ArenaVector<double>(count + limits); }
   static double product(Row a, Row b) {
     double total = 0.0;
     for (std::size_t i = 0; i < a.size(); ++i) total += inner(a[i], b[i]);
@@ -226,15 +254,33 @@ template <int D> struct Constraints {
 
   template <class R, int T>
   Rows<R, D, T> rows(int many, Criterion criterion = Criterion::sum) const {
-    int joints = T == 2 ? 7 : 6;
-    int owns = T == 0 ? 0 : T == 2 ? 1 : count + (criterion == Criterion::excess);
-    for (int k = 0; k < many; ++k) ++(owner[k] == SEVERAL ? joints : owns);
-    Rows<R, D, T> out(count, T == 2 ? 7 : 6, joints, owns);
+    const bool of_torques = T == 0 && criterion == Criterion::torque;
+    const bool bounds_normals = T == 1 && criterion != Criterion::load;
+    const int equations = T == 2 ? 7 : of_torques ? 6 + norm_equations() : 6;
+    const int cones = of_torques ? count + norm_cones() : count;
+    int joint_rows = equations;
+    int owns = T == 2 ? 1 : bounds_normals ? count + (criterion == Criterion::excess) : 0;
+    for (int k = 0; k < many; ++k) ++(owner[k] == SEVERAL ? joint_rows : owns);
+    Rows<R, D, T> out(cones, equations, joint_rows, owns);
+    Field wide_row(cones);  // a row of all contacts, and zeros for the cones of the norm
+    const auto of_all = [&](Row row) -> const Field& {
+      std::copy(row.begin(), row.end(), wide_row.begin());
+      return wide_row;
+    };
     for (int r = 0; r < 6; ++r) {
       Tuple<R, T> shared{};
       if constexpr (T == 2)
-        for (int i = 0; i < count; ++i) shared[0] += inward(i, turn[r][i]);
-      out.add_joint(turn[r], shared, -1);
+        for (int i = 0; i < count; ++i) shared[0] += turn[r][i][0];
+      out.add_joint(of_all(turn[r]), shared, -1);
+    }
+    for (int k = 0; of_torques && k < norm_equations(); ++k) {
+      Field row(cones);
+      if (k < joints)
+        std::copy(torque[k].begin(), torque[k].end(), row.begin());
+      else
+        row[count + k - joints][0] = 1.0;
+      row[count + k / SLOTS][1 + k % SLOTS] = -1.0;
+      out.add_joint(row, {}, -1);
     }
     if constexpr (T == 2) {
       Field total(count);
@@ -243,13 +289,15 @@ template <int D> struct Constraints {
       out.doubtful = 6;
     }
     for (int k = 0; k < many; ++k)
-      if (owner[k] == SEVERAL) out.add_joint(limit[k], {}, k);
+      if (owner[k] == SEVERAL) out.add_joint(of_all(limit[k]), {}, k);
     for (int i = 0, next = 0; i <= count; ++i) {
       for (; next < int(own.size()) && owner[own[next]] == i; ++next)
         if (own[next] < many)
-          out.add_own(i, i < count ? wide<R>(limit[own[next]][i]) : Tuple<R, D>{}, {}, own[next]);
+          out.add_own(i < count ? i : cones,
+                      i < count ? wide<R>(limit[own[next]][i]) : Tuple<R, D>{}, {}, own[next]);
       if constexpr (T == 1)
-        if (i < count) {  // normal <= t, or for an excess t, normal <= a bound set later
+        if (bounds_normals &&
+            i < count) {  // normal <= t, or for an excess t, normal <= a bound set later
           Tuple<R, D> row{};
           row[0] = criterion == Criterion::excess ? price[i] : cost[i];
           out.add_own(i, row, {R(criterion == Criterion::excess ? 0.0 : -1.0)}, -1);
@@ -262,19 +310,11 @@ template <int D> struct Constraints {
     return out;
   }
 
-  // Effect of a unit of depth on a row.
-  double inward(int i, const Tuple<double, D>& row) const {
-    return row[0] + (D == 4 && soft[i] ? row[D - 1] : 0.0);
-  }
-
-  // Slacks of cones, of w and of limits, less an allowance for rounding.
+  // Slacks of cones and of limits, less an allowance for rounding.
   template <class Bound>
   void write_slacks(const Field& z, int many, ArenaVector<double>& out, Bound&& right) const {
     int next = 0;
-    for (int i = 0; i < count; ++i) {
-      out[next++] = slack(cone(z[i])) - PAD * z[i][0];
-      if (D == 4 && soft[i]) out[next++] = z[i][D - 1] - PAD * z[i][0];
-    }
+    for (int i = 0; i < count; ++i) out[next++] = slack(cone(z[i])) - PAD * z[i][0];
     for (int k = 0; k < many; ++k) {
       double value = right(k);
       double sizes = std::abs(value);
@@ -296,6 +336,16 @@ template <int D> struct Constraints {
   // effect of the rounding of the largest normal force on balance
   static constexpr double LAST = 4e-16;
 
+  void scale_torques() {
+    for (int j = 0; j < joints; ++j)
+      torque_unit = std::max(torque_unit, std::sqrt(product(torque[j], torque[j])));
+    if (torque_unit == 0.0) torque_unit = 1.0;
+    for (int j = 0; j < joints; ++j) {
+      for (auto& z : torque[j])
+        for (double& value : z) value /= torque_unit;
+      bias[j] /= torque_unit;
+    }
+  }
   void find_owners() {
     for (int k = 0; k < limits; ++k) {
       int touched = 0;

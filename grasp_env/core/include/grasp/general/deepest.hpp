@@ -96,7 +96,6 @@ template <int D> class Depth {
     for (int i = 0; i < in_->count; ++i) {
       z[i] = narrow(at.z[i]);
       add(z[i], result.margin, in_->inwards());
-      if (D == 4 && !in_->soft[i]) z[i][D - 1] = 1.0;
       for (double& value : z[i]) value *= scale;
     }
     if (free || part > 0.0) in_->rebalance(z, unit);
@@ -164,7 +163,7 @@ template <int D> class Depth {
   }
   // Drop multipliers of limits that are mere rounding beside the twist.
   void drop_needless_multipliers(const Vec6& y, double size) {
-    for (int k = in_->torsions; k < many_; ++k)
+    for (int k = 0; k < many_; ++k)
       if (multipliers_[k] * std::max(1.0, std::abs(in_->bound[k]) / size) <
           NEEDLESS * grasp::size(y))
         multipliers_[k] = 0.0;
@@ -187,7 +186,6 @@ template <int D> class Depth {
       for (int i = 0; i < in_->count; ++i) {
         inside[i] = {};
         add(inside[i], length * size, in_->inwards());
-        if (D == 4 && !in_->soft[i]) inside[i][D - 1] = 1.0;
       }
       const double room = least_slack(inside);
       if (!(room > 0.0)) continue;
@@ -213,7 +211,7 @@ template <int D> class Depth {
   // Slack of a limit that a unit of depth uses.
   double depth_slack(int k) const {
     double total = 1.0;
-    for (int i = 0; i < in_->count; ++i) total += in_->inward(i, in_->limit[k][i]);
+    for (int i = 0; i < in_->count; ++i) total += in_->limit[k][i][0];
     return total;
   }
   template <class R> void price(const InteriorPoint<R, D, 2>& engine, double size) {
@@ -242,13 +240,6 @@ template <int D> class Depth {
       };
       for (int r = 0; r < 6; ++r) take(y[r], in_->balance[r][i]);
       for (int k = 0; k < many_; ++k) take(multipliers_[k], in_->limit[k][i]);
-      if (D == 4 && in_->soft[i] &&
-          !(dual[D - 1] > rounding * terms)) {  // w has no cost: see `certify`
-        const Tuple<double, D>& row = in_->limit[in_->torsion_row[i]][i];
-        const double raised = (2.0 * rounding * terms - dual[D - 1]) / row[D - 1];
-        multipliers_[in_->torsion_row[i]] += raised;
-        take(raised, row);
-      }
       const double room = slack(cone(dual));
       const double lost = SUM_ROUNDING * terms;
       lacking = std::max(lacking, -room - lost);

@@ -15,8 +15,9 @@ class General {
   General() = default;
   // For at most so many contacts and rows of limits; soft: torsion may be transmitted. If the worst
   // rows need more than LARGEST_ROOM, and for more contacts, `place` allocates what it lacks.
-  explicit General(int contacts, int limits = 0, bool soft = false)
-      : arena_(clamped_size(bytes_needed(contacts, limits, limits, soft))) {}
+  // torques: joints whose torques are minimised.
+  explicit General(int contacts, int limits = 0, bool soft = false, int torques = 0)
+      : arena_(clamped_size(bytes_needed(contacts, limits, limits, torques, soft))) {}
   General(const General& other) : arena_(other.arena_.size()) {}
   General& operator=(const General& other) {
     forget();
@@ -24,34 +25,32 @@ class General {
     return *this;
   }
 
-  // Take over the placed contacts and their weights; keeps no argument. torsion_divisor: (N,) v =
-  // divisor * torsion [1 / m], abs(v) <= normal force in cone coordinates; inf or 0: not soft.
-  // limits: their Jacobian is (N, width, J), width = 3, or 4 with the row of torsion. internal: (N,
-  // 3) an internal force strictly inside the cones; null: `least_normal` finds one. preload: forces
-  // and wrenches below are those of the shifted problem. rank_lost: rounding hides which wrenches
-  // they make.
-  Placing place(const Contacts& contacts, const double* torsion_divisor = nullptr,
-                const ForceLimits& limits = {}, int width = 3, const double* internal = nullptr,
-                const Preload& preload = {}) {
+  // Take over the placed contacts and their weights; keeps no argument. limits: their Jacobian is
+  // (N, width, J), width = 3, or 4 with the row of torsion. internal: (N, 3) an internal force
+  // strictly inside the cones; null: `least_normal` finds one. preload: forces and wrenches below
+  // are those of the shifted problem. rank_lost: rounding hides which wrenches they make.
+  // with_torques: for `Criterion::torque`.
+  Placing place(const Contacts& contacts, const ForceLimits& limits = {}, int width = 3,
+                const double* internal = nullptr, const Preload& preload = {},
+                bool with_torques = false) {
     forget();
     const int count = contacts.count;
     const int rows = limits.many();
-    int torsions = 0;
-    for (int i = 0; torsion_divisor && i < count; ++i) torsions += soft(torsion_divisor[i]);
-    const int several = std::min(rows, 2 * int(limits.torque_limit.size()));
+    const int joints = int(limits.torque_limit.size());
+    const int torques = with_torques ? joints : 0;
     if (count == 0) return Placing::rank_lost;
-    arena_.reserve(bytes_needed(count, rows, several, torsions > 0));
+    arena_.reserve(bytes_needed(count, rows, std::min(rows, 2 * joints), torques, contacts.soft()));
     const Arena::Use use(arena_);
-    Inputs& inputs = inputs_.emplace(count, torsions + rows, torsions);
-    const bool is_in_range =
-        inputs.set(contacts, torsion_divisor) && inputs.set(limits, width, preload);
+    Inputs& inputs = inputs_.emplace(count, rows, torques);
+    const bool is_in_range = inputs.set(contacts) && inputs.set(limits, width, preload);
     if (is_in_range) {
       double frame[36];
       contacts.unit.write(frame);
       program_.emplace(ProgramData{count, inputs.limits, frame, inputs.balance.data(),
                                    inputs.rows.data(), inputs.bound.data(), inputs.weights.data(),
                                    inputs.divisor.data(), inputs.shares.data(), true,
-                                   contacts.reach, inputs.preload.data()});
+                                   contacts.reach, inputs.preload.data(), torques,
+                                   inputs.torque.data(), inputs.torque_bias.data()});
       if (internal) {
         inputs.load(internal, nullptr);
         program_->set_internal_force(inputs.z.data());
@@ -168,8 +167,7 @@ class General {
     const Arena::Use use(arena_);
     Summary& before = record.summary();
     const int left = options.limit - int(before.iterations);
-    if (record.code() != INFEASIBLE || left <= 0 || inputs_->limits == inputs_->torsions)
-      return record.code();
+    if (record.code() != INFEASIBLE || left <= 0 || inputs_->limits == 0) return record.code();
     const Record next(inputs_->record.data(), inputs_->count);
     const StopRule elastic{EXCESS_WITHIN, CONIC_ITERATIONS};
     if (least(before.wrench.data(), Criterion::excess, elastic, left, next) != LIMITS_EXCEEDED) {
@@ -187,6 +185,18 @@ class General {
     inputs_->store(inputs_->z.data(), force, torsion);
     return result;
   }
+  // Find the largest k for which forces hold `wrench + k direction` within all limits, and the
+  // force (N, 3) [N] and torsion (N,) [N m] that hold `load`.
+  Payload payload(const double* direction, const double* wrench, double tolerance, double* force,
+                  double* torsion) {
+    const Arena::Use use(arena_);
+    Inputs& inputs = *inputs_;
+    const Payload result =
+        program_->payload(direction, wrench, tolerance, inputs.z.data(), inputs.multipliers.data());
+    unscale_multipliers(result.code);
+    inputs.store(inputs.z.data(), force, torsion);
+    return result;
+  }
   // Balance residual of a force (N, 3) and torsion (N,), or null, unit frame [N]; smallest slack:
   // above 0 if strictly inside.
   double missed(const double* wrench, const double* force, const double* torsion) {
@@ -199,12 +209,8 @@ class General {
   }
 
   // Multipliers of the last solve, or of the proof if there is no force: one per limit.
-  // `all_multipliers` begins with those of torsion >= -friction * normal of each soft contact.
-  std::span<const double> all_multipliers() const {
-    return placed() ? inputs_->multipliers : std::span<const double>();
-  }
   std::span<const double> multipliers() const {
-    return all_multipliers().subspan(placed() ? inputs_->torsions : 0);
+    return placed() ? inputs_->multipliers : std::span<const double>();
   }
 
  private:
@@ -219,68 +225,70 @@ class General {
 
   // Contacts and limits in the form of `ProgramData`.
   struct Inputs {
-    int count, limits, torsions;
+    int count, limits, joints;  // joints whose torques are minimised
+    ArenaVector<double> torque, torque_bias;
     ArenaVector<double> balance, rows, bound, shares, divisor, preload;
-    ArenaVector<double> sizes, weights, row_weights;  // (M,) divisors of the rows; weights of Phi
+    ArenaVector<Weights<double, 4>> weights;
+    ArenaVector<double> sizes, row_weights;  // (M,) divisors of the rows; weights of Phi
     ArenaVector<double> z, row, record, multipliers, kept_multipliers;
 
-    Inputs(int count, int limits, int torsions)
+    Inputs(int count, int limits, int joints)
         : count(count),
           limits(limits),
-          torsions(torsions),
+          joints(joints),
+          torque(4 * count * joints),
+          torque_bias(joints),
           balance(24 * count),
           rows(4 * count * limits),
           bound(limits),
           shares(limits),
           divisor(4 * count),
           preload(count),
+          weights(count),
           sizes(limits),
-          weights(2 * count),
           row_weights(limits),
           z(4 * count),
           row(4 * count),
           record(record_size(count)),
           multipliers(limits),
           kept_multipliers(limits) {}
-    static std::size_t bytes_needed(int count, int limits) {
-      return Arena::bytes_needed<double>(24 * count) +
+    static std::size_t bytes_needed(int count, int limits, int joints) {
+      return Arena::bytes_needed<double>(4 * std::size_t(count) * joints) +
+             Arena::bytes_needed<double>(joints) + Arena::bytes_needed<double>(24 * count) +
              Arena::bytes_needed<double>(4 * std::size_t(count) * limits) +
              6 * Arena::bytes_needed<double>(limits) + 3 * Arena::bytes_needed<double>(4 * count) +
-             Arena::bytes_needed<double>(count) + Arena::bytes_needed<double>(2 * count) +
+             Arena::bytes_needed<double>(count) + Arena::bytes_needed<Weights<double, 4>>(count) +
              Arena::bytes_needed<double>(record_size(count));
     }
-    bool set(const Contacts& contacts, const double* torsion_divisor) {
+    bool set(const Contacts& contacts) {
       double total = 0.0;
-      for (int i = 0, k = 0; i < count; ++i) {
+      for (int i = 0; i < count; ++i) {
         std::copy_n(contacts.divisor.begin() + 3 * i, 3, divisor.begin() + 4 * i);
-        weights[2 * i] = contacts.omega[i];
-        weights[2 * i + 1] = contacts.lambda[i];
-        for (int r = 0; r < 6; ++r)
-          for (int a = 0; a < 3; ++a) {
-            const double part = contacts.rows[3 * (count * r + i) + a];
-            balance[4 * (count * r + i) + a] = part;
-            total += std::abs(part);
-          }
-        divisor[4 * i + 3] = infinity;
-        if (!torsion_divisor || !soft(torsion_divisor[i])) continue;
-        divisor[4 * i + 3] = torsion_divisor[i];
-        const double* frame = contacts.frames.data() + 9 * i;
-        const double axis[6] = {0.0, 0.0, 0.0, frame[0], frame[3], frame[6]};
-        const Vec6 moment = contacts.unit.of(axis);
-        for (int r = 0; r < 6; ++r)
-          add_torsion(&balance[4 * (count * r + i)], moment[r] / torsion_divisor[i]);
-        double* row = &rows[4 * (count * k + i)];  // torsion >= -u is w <= 2 u
-        row[0] = -2.0;
-        row[3] = 1.0;
-        sizes[k] = 1.0;
-        row_weights[k++] = contacts.lambda[i];
+        divisor[4 * i + 3] = divisor_of(contacts.torsion_scale(i));
+        weights[i] = weights_of(contacts, i);
+        const Vec6 moment = contacts.torsion_wrench(i);
+        for (int r = 0; r < 6; ++r) {
+          double* part = &balance[4 * (count * r + i)];
+          for (int a = 0; a < 3; ++a) part[a] = contacts.rows[3 * (count * r + i) + a];
+          part[3] = moment[r] / divisor[4 * i + 3];
+          for (int a = 0; a < 4; ++a) total += std::abs(part[a]);
+        }
       }
       return total < infinity;
     }
     bool set(const ForceLimits& hand, int width, const Preload& shift) {
-      int k = torsions;
+      int k = 0;
       bool good = true;
       if (shift.any) std::copy_n(shift.each.begin(), count, preload.begin());
+      for (int j = 0; j < joints; ++j) {
+        torque_bias[j] = hand.torque_bias.empty() ? 0.0 : hand.torque_bias[j];
+        for (int i = 0; i < count; ++i)
+          for (int a = 0; a < width; ++a) {
+            const double moves = hand.jacobian[hand.torque_limit.size() * (width * i + a) + j];
+            torque[4 * (count * j + i) + a] = moves / divisor[4 * i + a];
+            if (a == 0) torque_bias[j] += moves * preload[i];
+          }
+      }
       hand.rows(
           count, width, std::span(row).first(width * count),
           [&](std::span<const double> from, double b, double limit) {
@@ -289,9 +297,9 @@ class General {
             int touched = 0;
             for (int i = 0; i < count; ++i, to += 4) {
               for (int a = 0; a < 3; ++a) to[a] = from[width * i + a] / divisor[4 * i + a];
-              if (width == 4) add_torsion(to, from[4 * i + 3] / divisor[4 * i + 3]);
+              to[3] = width == 4 ? from[4 * i + 3] / divisor[4 * i + 3] : 0.0;
               const double part = to[0] * to[0] + to[1] * to[1] + to[2] * to[2] + to[3] * to[3];
-              const double weight = weights[2 * i + 1];
+              const double weight = weights[i].lambda;
               square += part;
               all += weight;
               if (part > 0.0) {
@@ -313,29 +321,20 @@ class General {
           shift);
       return good;
     }
-    // (u, o, t, w) from forces and torsions (null: zero), and back
+    // (u, o, t, v) from forces and torsions (null: zero), and back
     void load(const double* force, const double* torsion) {
-      for (int i = 0; i < count; ++i) {
-        for (int a = 0; a < 3; ++a) {
+      for (int i = 0; i < count; ++i)
+        for (int a = 0; a < 4; ++a) {
           const double per = divisor[4 * i + a];
-          z[4 * i + a] = per < infinity ? per * force[3 * i + a] : 0.0;
+          const double part = a < 3 ? force[3 * i + a] : torsion ? torsion[i] : 0.0;
+          z[4 * i + a] = per < infinity ? per * part : 0.0;
         }
-        const double per = divisor[4 * i + 3];
-        z[4 * i + 3] = per < infinity ? z[4 * i] - (torsion ? per * torsion[i] : 0.0) : 1.0;
-      }
     }
     void store(const double* from, double* force, double* torsion) const {
       for (int i = 0; i < count; ++i, from += 4) {
         for (int a = 0; a < 3; ++a) force[3 * i + a] = from[a] / divisor[4 * i + a];
-        if (torsion)
-          torsion[i] =
-              divisor[4 * i + 3] < infinity ? (from[0] - from[3]) / divisor[4 * i + 3] : 0.0;
+        if (torsion) torsion[i] = from[3] / divisor[4 * i + 3];
       }
-    }
-    // (u, o, t) and v -> (u, o, t, w), w = u - v
-    static void add_torsion(double* row, double v) {
-      row[0] += v;
-      row[3] = -v;
     }
   };
   Arena arena_;
@@ -343,10 +342,9 @@ class General {
   std::optional<Program> program_;
 
   static std::size_t clamped_size(std::size_t bytes) { return bytes <= LARGEST_ROOM ? bytes : 0; }
-  static bool soft(double divisor) { return divisor > 0.0 && divisor < infinity; }
-  static std::size_t bytes_needed(int count, int limits, int several, bool soft) {
-    const int rows = limits + (soft ? count : 0);
-    return Inputs::bytes_needed(count, rows) + Program::bytes_needed(count, rows, several, soft);
+  static std::size_t bytes_needed(int count, int limits, int several, int torques, bool soft) {
+    return Inputs::bytes_needed(count, limits, torques) +
+           Program::bytes_needed(count, limits, several, torques, soft);
   }
   void forget() {
     program_.reset();

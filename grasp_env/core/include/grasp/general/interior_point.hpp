@@ -1,9 +1,7 @@
 // The general cone program by an interior point with Nesterov-Todd scaling and Mehrotra's
-// corrector, as in `conic.hpp`, with soft contacts, further rows and variables that all contacts
-// share:
+// corrector, as in `conic.hpp`, with further rows and variables that all contacts share:
 //
-//     min  sum_i c_i . z_i + d . t   s.t.   rows (`Rows`),  (u, o, t)_i in its cone,  w_i >= 0 if
-//     contact i is soft
+//     min  sum_i c_i . z_i + d . t   s.t.   rows (`Rows`),  z_i in its cone
 //
 // A start may violate its equations; iterates of one that keeps them keep them. Slacks are separate
 // variables, so none is a difference that cancels. Directions are refined by their residuals.
@@ -29,15 +27,12 @@ template <class R, int D, int T> class InteriorPoint {
   Rows<R, D, T> rows;
   Field cost;
   Tuple<R, T> shared_cost{};
-  // false: w stays 1 and no row acts on it
-  std::span<const char> soft;
   State at;  // the start, then the answer
   int iterations = 0;
 
-  InteriorPoint(Rows<R, D, T> constraints, std::span<const char> soft)
+  explicit InteriorPoint(Rows<R, D, T> constraints)
       : rows(std::move(constraints)),
         cost(rows.count),
-        soft(soft),
         system_(rows),
         f_(rows),
         d_(rows),
@@ -63,7 +58,7 @@ template <class R, int D, int T> class InteriorPoint {
     return Rows<R, D, T>::bytes_needed(count, joints, owns) +
            RowSystem<R, D, T>::bytes_needed(count, joints, owns) +
            9 * Space<R, D, T>::bytes_needed(count, joints, owns) +
-           3 * Arena::bytes_needed<Tuple<R, D>>(count) + Arena::bytes_needed<Scaling<R>>(count) +
+           3 * Arena::bytes_needed<Tuple<R, D>>(count) + Arena::bytes_needed<Scaling<R, D>>(count) +
            2 * (Arena::bytes_needed<R>(joints) + Arena::bytes_needed<R>(owns));
   }
 
@@ -102,8 +97,8 @@ template <class R, int D, int T> class InteriorPoint {
       } else if (close || m.gap <= accept_factor * m.size + absolute) {
         const double gap = accept();
         done = gap <= tolerance;
-        settle =
-            close && !(gap < infinity) && m.primal > EQUATION_ROUNDING && settled++ < SETTLINGS;
+        settle = close && !(gap < infinity) && max(m.primal, m.dual) > EQUATION_ROUNDING &&
+                 settled++ < SETTLINGS;
         while (!done && !settle && !spent && m.gap <= goal * m.size + absolute) {
           goal *= 0.1;
           spent = goal < 1e-3 * tolerance || !(m.gap > 0.0);
@@ -139,7 +134,7 @@ template <class R, int D, int T> class InteriorPoint {
   Space<R, D, T> f_, d_, left_, more_, residual_;  // d_.z is the scaled direction W^-1 dz
   State best_;
   Field ds_, dz_;
-  ArenaVector<Scaling<R>> scaling_;
+  ArenaVector<Scaling<R, D>> scaling_;
   ArenaVector<R> kappa_own_, dslack_own_, kappa_joint_, dslack_joint_;
 
   struct Measured {
@@ -181,10 +176,8 @@ template <class R, int D, int T> class InteriorPoint {
         add(left, rows.pulled(at.own, k, paired), rows.own[k].row);
       });
       add(left, R(-1.0), s);
-      if (D == 4 && !soft[i]) left[D - 1] = 0.0;
       residual_.z[i] = left;
       m.gap += dot(cone(z), cone(s));
-      if (D == 4 && soft[i]) m.gap += z[D - 1] * s[D - 1];
       keep(largest_z, z[0]);
       keep(largest_c, cost[i][0]);
       for (const R& value : left) keep(m.dual, value);
@@ -208,9 +201,7 @@ template <class R, int D, int T> class InteriorPoint {
   }
 
   double degree() const {
-    double total = 2.0 * rows.count + double(rows.own.size()) + (rows.joint - rows.equal);
-    for (int i = 0; i < rows.count; ++i) total += D == 4 && soft[i];
-    return total;
+    return 2.0 * rows.count + double(rows.own.size()) + (rows.joint - rows.equal);
   }
 
   Tuple<R, D> scaled(int i, const Tuple<R, D>& a) const { return system_.shapes[i] * a; }
@@ -219,17 +210,16 @@ template <class R, int D, int T> class InteriorPoint {
   // whole steps stay inside and keep every equation.
   bool step(const R& gap, bool settle) {
     for (int i = 0; i < rows.count; ++i) {
-      const Scaling<R>& m = scaling_[i] = Scaling<R>(cone(at.z[i]), cone(at.s[i]));
+      const Scaling<R, D>& m = scaling_[i] = Scaling<R, D>(cone(at.z[i]), cone(at.s[i]));
       Shape<R, D>& shape = system_.shapes[i];
       const R root = sqrt(m.eta);
-      const Vec3<R> v = m.v;
+      const Vec<R, D> v = m.v;
       shape.a[0][0] = root * v.u;
-      shape.a[0][1] = shape.a[1][0] = root * v.o;
-      shape.a[0][2] = shape.a[2][0] = root * v.t;
-      shape.a[1][1] = root * (1.0 + v.o * v.o * m.shrink);
-      shape.a[2][2] = root * (1.0 + v.t * v.t * m.shrink);
-      shape.a[1][2] = shape.a[2][1] = root * v.o * v.t * m.shrink;
-      if (D == 4) shape.line = soft[i] ? sqrt(at.z[i][D - 1] / at.s[i][D - 1]) : R(1.0);
+      for (int a = 1; a < D; ++a) {
+        shape.a[0][a] = shape.a[a][0] = root * v[a];
+        shape.a[a][a] = root * (1.0 + v[a] * v[a] * m.shrink);
+        for (int k = 1; k < a; ++k) shape.a[k][a] = shape.a[a][k] = root * v[k] * v[a] * m.shrink;
+      }
     }
     for (int k = 0; k < int(rows.own.size()); ++k)
       system_.own_diagonal[k] = at.own_slack[k] / at.own[k];
@@ -279,21 +269,18 @@ template <class R, int D, int T> class InteriorPoint {
   void find_direction(const R& target, bool second, int refinements) {
     for (int i = 0; i < rows.count; ++i) {
       const Tuple<R, D> ls = scaled(i, at.s[i]);
-      const Vec3<R> l = cone(ls);
+      const Vec<R, D> l = cone(ls);
       Tuple<R, D> h;
       for (int a = 0; a < D; ++a) h[a] = -ls[a];
       if (second) {
-        const Tuple<R, D> es = scaled(i, ds_[i]);
-        const Vec3<R> e = cone(es);
-        const Vec3<R> p = cone(d_.z[i]);
-        const Vec3<R> r{target - dot(p, e), -(p.u * e.o + e.u * p.o), -(p.u * e.t + e.u * p.t)};
+        const Vec<R, D> e = cone(scaled(i, ds_[i]));
+        const Vec<R, D> p = cone(d_.z[i]);
+        Vec<R, D> r = -(p.u * e + e.u * p);
+        r.u = target - dot(p, e);
         const R q = lorentz(l, r) / lorentz(l, l);
         h[0] += q;
-        h[1] += (r.o - q * l.o) / l.u;
-        h[2] += (r.t - q * l.t) / l.u;
-        if (D == 4) h[D - 1] += (target - d_.z[i][D - 1] * es[D - 1]) / ls[D - 1];
+        for (int a = 1; a < D; ++a) h[a] += (r[a] - q * l[a]) / l.u;
       }
-      if (D == 4 && !soft[i]) h[D - 1] = 0.0;
       f_.z[i] = h;
       add(f_.z[i], R(-1.0), scaled(i, residual_.z[i]));
     }
@@ -330,7 +317,6 @@ template <class R, int D, int T> class InteriorPoint {
       rows.each_own(i, [&](int k, bool paired) {
         add(ds_[i], rows.pulled(d_.own, k, paired), rows.own[k].row);
       });
-      if (D == 4 && !soft[i]) dz_[i][D - 1] = ds_[i][D - 1] = 0.0;
     }
     for (int k = 0; k < int(rows.own.size()); ++k)
       dslack_own_[k] = (kappa_own_[k] - at.own_slack[k] * d_.own[k]) / at.own[k];
@@ -345,12 +331,8 @@ template <class R, int D, int T> class InteriorPoint {
   Reach reach() const {
     Reach out{1e-12, 1e-12};
     for (int i = 0; i < rows.count; ++i) {
-      keep_largest<R>(out.primal, Boundary<R>(cone(at.z[i])).per(cone(dz_[i])));
-      keep_largest<R>(out.dual, Boundary<R>(cone(at.s[i])).per(cone(ds_[i])));
-      if (D == 4 && soft[i]) {
-        keep_largest<R>(out.primal, -dz_[i][D - 1] / at.z[i][D - 1]);
-        keep_largest<R>(out.dual, -ds_[i][D - 1] / at.s[i][D - 1]);
-      }
+      keep_largest<R>(out.primal, Boundary(cone(at.z[i])).per(cone(dz_[i])));
+      keep_largest<R>(out.dual, Boundary(cone(at.s[i])).per(cone(ds_[i])));
     }
     for (int k = 0; k < int(rows.own.size()); ++k) {
       keep_largest<R>(out.primal, -dslack_own_[k] / at.own_slack[k]);
@@ -366,7 +348,7 @@ template <class R, int D, int T> class InteriorPoint {
   R gap_after(const R& primal, const R& dual) const {
     R total = 0.0;
     for (int i = 0; i < rows.count; ++i)
-      for (int a = 0; a < (D == 4 && soft[i] ? D : 3); ++a)
+      for (int a = 0; a < D; ++a)
         total += (at.z[i][a] + primal * dz_[i][a]) * (at.s[i][a] + dual * ds_[i][a]);
     for (int k = 0; k < int(rows.own.size()); ++k)
       total += (at.own_slack[k] + primal * dslack_own_[k]) * (at.own[k] + dual * d_.own[k]);

@@ -1,6 +1,6 @@
-// Damped Newton on Phi with soft contacts and further rows: each adds lambda / slack, the order of
-// tr P^-1. Balance and rows are as in `rows.hpp`; a contact's block is written in the axes of its
-// inverse Hessian, H^-1 = F F^T (`Axes`).
+// Damped Newton on Phi with further rows: each adds lambda / slack, the order of tr P^-1. Balance
+// and rows are as in `rows.hpp`; a contact's block is written in the axes of its inverse Hessian,
+// H^-1 = F F^T (`Axes`).
 //
 // The steps are separate from those of `NewtonSolver`, which stay in registers: four hard contacts
 // take 1.1 us there and 7 here.
@@ -16,19 +16,17 @@ template <class R, int D> class PhiRows {
  public:
   using Field = ArenaVector<Tuple<R, D>>;
   Rows<R, D, 0> rows;
-  ArenaVector<Weights<R>> weights;
+  ArenaVector<Weights<R, D>> weights;
   ArenaVector<R> row_weights;  // (M,) lambda of each limit
-  std::span<const char> soft;
-  Field z;                  // the start, strictly inside, then the answer
-  Space<R, D, 0> y, proof;  // multipliers, and those of the bound
+  Field z;                     // the start, strictly inside, then the answer
+  Space<R, D, 0> y, proof;     // multipliers, and those of the bound
   int iterations = 0, trials = 0;
   R value = 0.0, bound = 0.0;
 
-  PhiRows(Rows<R, D, 0> constraints, std::span<const char> soft, int limits)
+  PhiRows(Rows<R, D, 0> constraints, int limits)
       : rows(std::move(constraints)),
         weights(rows.count),
         row_weights(limits),
-        soft(soft),
         z(rows.count),
         y(rows),
         proof(rows),
@@ -46,7 +44,7 @@ template <class R, int D> class PhiRows {
     return Rows<R, D, 0>::bytes_needed(count, joints, owns) +
            RowSystem<R, D, 0>::bytes_needed(count, joints, owns) +
            5 * Space<R, D, 0>::bytes_needed(count, joints, owns) +
-           3 * Arena::bytes_needed<Tuple<R, D>>(count) + Arena::bytes_needed<Weights<R>>(count) +
+           3 * Arena::bytes_needed<Tuple<R, D>>(count) + Arena::bytes_needed<Weights<R, D>>(count) +
            Arena::bytes_needed<R>(limits) +
            2 * (Arena::bytes_needed<R>(joints) + Arena::bytes_needed<R>(owns));
   }
@@ -134,10 +132,9 @@ template <class R, int D> class PhiRows {
       total += slack > 0.0 ? weight / slack : R(infinity);
     };
     for (int i = 0; i < rows.count; ++i) {
-      const Vec3<R> x = cone(at[i]);
+      const Vec<R, D> x = cone(at[i]);
       if (!(x.u > 0.0 && lorentz(x, x) > 0.0)) return infinity;
       total += grasp::phi(x, weights[i]);
-      if (D == 4 && soft[i]) barrier(weights[i].lambda, at[i][D - 1]);
     }
     for (int k = 0; k < int(rows.own.size()); ++k) barrier(row_weights[rows.own[k].label], own[k]);
     for (int r = rows.equal; r < rows.joint; ++r) barrier(row_weights[rows.label[r]], joint[r]);
@@ -146,16 +143,11 @@ template <class R, int D> class PhiRows {
 
   Direction find_step() {
     for (int i = 0; i < rows.count; ++i) {
-      const Axes<R> axes(cone(z[i]), weights[i]);
+      const Axes<R, D> axes(cone(z[i]), weights[i]);
       Shape<R, D>& shape = system_.shapes[i];
-      for (int a = 0; a < 3; ++a)
-        for (int k = 0; k < 3; ++k) shape.a[a][k] = axes[k][a];
-      if (D == 4 && soft[i])
-        shape.line = z[i][D - 1] * sqrt(z[i][D - 1] / (2.0 * weights[i].lambda));
-      const Vec3<R> g = gradient(cone(z[i]), weights[i]);
-      Tuple<R, D> fall{-g.u, -g.o, -g.t};
-      if (D == 4 && soft[i]) fall[D - 1] = weights[i].lambda / (z[i][D - 1] * z[i][D - 1]);
-      f_.z[i] = shape.transposed(fall);
+      for (int a = 0; a < D; ++a)
+        for (int k = 0; k < D; ++k) shape.a[a][k] = axes[k][a];
+      f_.z[i] = shape.transposed(tuple(-gradient(cone(z[i]), weights[i])));
     }
     // a limit's multiplier is p = lambda / slack^2 at z, and p + p' (C dz) after the step
     for (int k = 0; k < int(rows.own.size()); ++k) {
@@ -187,14 +179,10 @@ template <class R, int D> class PhiRows {
       step_[i] = system_.shapes[i] * y.z[i];
       for (int r = 0; r < rows.equal; ++r)
         add(step_[i], left_.joint[r], rows.columns[rows.joint * i + r]);
-      if (D == 4 && !soft[i]) step_[i][D - 1] = 0.0;
-      const Vec3<R> g = gradient(cone(z[i]), weights[i]);
-      decrement -= dot(g, cone(step_[i]));
-      keep_largest(reach, Boundary<R>(cone(z[i])).per(cone(step_[i])));
-      if (D == 4 && soft[i]) {
-        decrement += weights[i].lambda / (z[i][D - 1] * z[i][D - 1]) * step_[i][D - 1];
-        keep_largest<R>(reach, -step_[i][D - 1] / z[i][D - 1]);
-      }
+      const Vec<R, D> x = cone(z[i]);
+      const Vec<R, D> move = cone(step_[i]);
+      decrement -= dot(gradient(x, weights[i]), move);
+      keep_largest(reach, Boundary(x).per(move));
       for (int r = rows.equal; r < rows.joint; ++r)
         joint_trial_[r] =
             (i ? joint_trial_[r] : R(0.0)) + inner(rows.columns[rows.joint * i + r], step_[i]);
@@ -239,8 +227,7 @@ template <class R, int D> class PhiRows {
   }
 
   // Dual value at the multipliers: for each contact the minimum of phi(x) + q . x, q = C^T y (see
-  // `dual`), and of lambda / w + q_w w; for each limit that of lambda / slack + y slack. -inf: no
-  // bound.
+  // `dual`); for each limit that of lambda / slack + y slack. -inf: no bound.
   R lower_bound() {
     R total = 0.0;
     for (int k = 0; k < int(rows.own.size()); ++k) {
@@ -260,8 +247,7 @@ template <class R, int D> class PhiRows {
       for (int k = rows.first[i]; k < rows.first[i + 1]; ++k) add(q, y.own[k], rows.own[k].row);
       R room;
       total += dual(-cone(q), weights[i], room);
-      if (!(room > 0.0) || (D == 4 && soft[i] && !(q[D - 1] >= 0.0))) return -infinity;
-      if (D == 4 && soft[i]) total += 2.0 * sqrt(weights[i].lambda * q[D - 1]);
+      if (!(room > 0.0)) return -infinity;
     }
     return total < infinity ? total : R(-infinity);
   }

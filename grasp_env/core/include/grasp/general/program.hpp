@@ -30,6 +30,8 @@ template <int D> Code ProgramOn<D>::least(const double* wrench, Criterion criter
   size_ = in_.largest_of(turned);
   double most = 0.0;
   for (int k = 0; k < limits; ++k) most = std::max(most, -in_.bound[k]);
+  for (int j = 0; criterion == Criterion::torque && j < in_.joints; ++j)
+    most = std::max(most, std::abs(in_.bias[j]));
   if (size_ < NOTHING && !(most > 0.0)) {  // zero force is the answer
     out.code = CONVERGED;
     if (criterion == Criterion::largest) out.objective = out.lower_bound = in_.largest_offset();
@@ -44,8 +46,8 @@ template <int D> Code ProgramOn<D>::least(const double* wrench, Criterion criter
   residual_ = 0.0;
   std::fill(best_multipliers_.begin(), best_multipliers_.end(), 0.0);
   has_inside_ = moved_ = false;
-  const Code code =
-      criterion == Criterion::sum ? solve<0>(wrench, options, out) : solve<1>(wrench, options, out);
+  const bool one_each = criterion == Criterion::sum || criterion == Criterion::torque;
+  const Code code = one_each ? solve<0>(wrench, options, out) : solve<1>(wrench, options, out);
   if (code == INFEASIBLE) {
     std::copy(multipliers_.begin(), multipliers_.end(), multipliers);
     return record.refute(out.multipliers, size(load));
@@ -73,7 +75,19 @@ template <int D> Deepest ProgramOn<D>::deepest(const double* wrench, double tole
   return result;
 }
 
-template <int D> Code ProgramOn<D>::least_phi(const Call& call, const double* weights,
+template <int D> Payload ProgramOn<D>::payload(const double* direction, const double* wrench,
+                                               double tolerance, double* z, double* multipliers) {
+  const Arena::Scope scope;
+  std::fill(multipliers, multipliers + limits, 0.0);
+  if (!is_valid_wrench(wrench) || !is_valid_wrench(direction)) return {};
+  LargestLoad<D> largest(in_);
+  const Payload result = largest.find(direction, wrench, tolerance, inside_);
+  std::copy(largest.multipliers().begin(), largest.multipliers().end(), multipliers);
+  store_z(inside_, z);
+  return result;
+}
+
+template <int D> Code ProgramOn<D>::least_phi(const Call& call, const Weights<double, 4>* weights,
                                               const double* row_weights, const double* z,
                                               const Record& record, double* multipliers) {
   const Arena::Scope scope;
@@ -97,8 +111,13 @@ template <int D> Code ProgramOn<D>::least_phi(const Call& call, const double* we
   // descend on Phi with lambda multiplied by `raised`
   const auto descend = [&](auto& engine, Call stage, double raised, const StopRule& stop) {
     stage.stop = stop;
-    for (int i = 0; i < count; ++i)
-      engine.weights[i] = {weights[2 * i], raised * weights[2 * i + 1]};
+    for (int i = 0; i < count; ++i) {
+      const Weights<double, D> fit = fitted<D>(weights[i]);
+      auto& to = engine.weights[i];
+      to.omega = fit.omega;
+      to.lambda = raised * fit.lambda;
+      if constexpr (D == 4) to.axial = fit.axial;
+    }
     for (int k = 0; k < limits; ++k) engine.row_weights[k] = raised * row_weights[k];
     const Code code = engine.run(stage, LONG);
     spent += engine.iterations;
@@ -111,15 +130,15 @@ template <int D> Code ProgramOn<D>::least_phi(const Call& call, const double* we
     return code == REFUSED ? code : write_phi(engine, code, call, record, multipliers);
   };
   const auto [tolerance, limit] = call.stop;
-  PhiRows<double, D> quick(in_.template rows<double, 0>(limits), in_.soft, limits);
+  PhiRows<double, D> quick(in_.template rows<double, 0>(limits), limits);
   take_start(quick);
   const Code first = descend(quick, call, 1.0, {tolerance, std::min(limit, PATIENCE)});
   if (first != STALLED && (first != LIMIT || limit <= PATIENCE)) return written(quick, first);
   // steps along curved surfaces are short: follow the central path, which stays away from them
   double raised = 1.0;
   for (int i = 0; i < count; ++i)
-    raised = std::max(raised, weights[2 * i] * z[4 * i] * z[4 * i] / weights[2 * i + 1]);
-  PhiRows<DoubleDouble, D> careful(in_.template rows<DoubleDouble, 0>(limits), in_.soft, limits);
+    raised = std::max(raised, weights[i].omega * z[4 * i] * z[4 * i] / weights[i].lambda);
+  PhiRows<DoubleDouble, D> careful(in_.template rows<DoubleDouble, 0>(limits), limits);
   take_start(careful);
   careful.balance();
   const Call path{.wrench = call.wrench};
@@ -143,9 +162,10 @@ class Program {
   explicit Program(const ProgramData& data)
       : count(data.count), limits(data.limits), on_(make(data)) {}
   // Bytes of an arena; joints: largest number of rows that act on several contacts.
-  static std::size_t bytes_needed(int count, int limits, int joints, bool soft) {
-    return soft ? detail::ProgramOn<4>::bytes_needed(count, limits, joints)
-                : detail::ProgramOn<3>::bytes_needed(count, limits, joints);
+  // torques: number of joints of `Criterion::torque`, or 0.
+  static std::size_t bytes_needed(int count, int limits, int joints, int torques, bool soft) {
+    return soft ? detail::ProgramOn<4>::bytes_needed(count, limits, joints, torques)
+                : detail::ProgramOn<3>::bytes_needed(count, limits, joints, torques);
   }
 
   // Minimise a criterion, into a record, with multipliers (M,) >= 0 of the limits. INFEASIBLE: the
@@ -165,9 +185,16 @@ class Program {
     return std::visit(
         [&](auto& on) { return on.deepest(wrench, tolerance, z, multipliers, inside); }, on_);
   }
-  // Minimise Phi from z (N, 4), balanced and strictly inside, with weights (N, 2) omega and lambda,
-  // and row_weights (M,). Uses wrench, stop, optimum and trace of the call. REFUSED: no such start.
-  Code least_phi(const Call& call, const double* weights, const double* row_weights,
+  // Find the largest k for which forces hold `wrench + k direction`; writes z (N, 4) [N] that holds
+  // `load`, and the multipliers (M,) of the bound or the proof.
+  Payload payload(const double* direction, const double* wrench, double tolerance, double* z,
+                  double* multipliers) {
+    return std::visit(
+        [&](auto& on) { return on.payload(direction, wrench, tolerance, z, multipliers); }, on_);
+  }
+  // Minimise Phi from z (N, 4), balanced and strictly inside, with weights (N,) of the contacts and
+  // row_weights (M,). Uses wrench, stop, optimum and trace of the call. REFUSED: no such start.
+  Code least_phi(const Call& call, const Weights<double, 4>* weights, const double* row_weights,
                  const double* z, const Record& record, double* multipliers) {
     return std::visit(
         [&](auto& on) { return on.least_phi(call, weights, row_weights, z, record, multipliers); },
@@ -181,12 +208,12 @@ class Program {
   void balance(const double* wrench, double* z) {
     std::visit([&](auto& on) { on.balance(wrench, z); }, on_);
   }
-  // Smallest slack of z (N, 4) in cones, torsion and rows, less rounding.
+  // Smallest slack of z (N, 4) in cones and rows, less rounding.
   double slack(const double* z) {
     return std::visit([&](auto& on) { return on.least_slack(z); }, on_);
   }
   // Provide an internal force z (N, 4) for starts. Return false unless it is strictly inside the
-  // cones and the rows of torsion; `least` then searches for one.
+  // cones; `least` then searches for one.
   bool set_internal_force(const double* z) {
     return std::visit([&](auto& on) { return on.set_internal_force(z); }, on_);
   }

@@ -27,13 +27,21 @@ inline double ProgramOn<D>::consider(const Interior<R, T>& engine) {
     in_.write_slacks(z_, kept(), slacks_, right);
     least = least_of(slacks_);
   }
-  certify(engine);
+  if constexpr (T == 0) {
+    if (of_torques()) {
+      certify_torques(engine);
+    } else {
+      certify(engine);
+    }
+  } else {
+    certify(engine);
+  }
   double force = 0.0;
   for (int i = 0; i < count; ++i) {
     const double normal = price(i) * z_[i][0] + offset(i);
     force = T == 1 ? std::max(force, normal) : force + normal;
   }
-  const double value = elastic() ? excess(z_) : force;
+  const double value = elastic() ? excess(z_) : of_torques() ? in_.torque_norm(z_, size_) : force;
   const bool good = least >= 0.0 && residual_ <= BALANCED * grasp::size(unit_) +
                                                      (ROUNDED + in_.reach.rounding) * force;
   if (good && value < best_value_) {
@@ -61,7 +69,7 @@ inline void ProgramOn<D>::certify(const Interior<R, T>& engine) {
   double offset_at_end = 0.0, offset_at_safe = 0.0;  // of `Criterion::largest`
   if (elastic()) {
     double price = 0.0;
-    for (int k = in_.torsions; k < limits; ++k) price += multipliers_[k] * in_.shares[k];
+    for (int k = 0; k < limits; ++k) price += multipliers_[k] * in_.shares[k];
     theta = price > 0.0 ? size_ / price : 0.0;
   }
   for (int i = 0; i < count; ++i) {
@@ -80,20 +88,13 @@ inline void ProgramOn<D>::certify(const Interior<R, T>& engine) {
     for (int k = rows.first[i]; k < rows.first[i + 1]; ++k)
       if (rows.own[k].label >= 0)
         add(end, multipliers_[rows.own[k].label], in_.limit[rows.own[k].label][i]);
-    if (D == 4 && in_.soft[i] && end[D - 1] < 0.0) {
-      // w has no cost: raise its row's multiplier, at the expense of u
-      const Tuple<double, D>& row = in_.limit[in_.torsion_row[i]][i];
-      const double raised = -end[D - 1] / row[D - 1];
-      multipliers_[in_.torsion_row[i]] += raised;
-      add(end, raised, row);
-    }
-    const Vec3<double> last = cone(end);
+    const Vec<double, D> last = cone(end);
     if (slack(last) >= 0.0) continue;
     if (elastic()) {
       paid -= slack(last) * most_ / price(i);
       continue;
     }
-    const double per = Boundary<double>(cone(safe)).per(last - cone(safe));
+    const double per = Boundary(cone(safe)).per(last - cone(safe));
     theta = per > 1.0 ? std::min(theta, 1.0 / per) : per == per ? theta : 0.0;
   }
   double value = 0.0;
@@ -109,6 +110,43 @@ inline void ProgramOn<D>::certify(const Interior<R, T>& engine) {
     best_nu_ = -theta * y;
     for (int k = 0; k < limits; ++k) best_multipliers_[k] = theta * multipliers_[k];
   }
+}
+
+template <int D> template <class R>
+inline void ProgramOn<D>::certify_torques(const Interior<R, 0>& engine) {
+  const auto& at = engine.at;
+  const auto& rows = engine.rows;
+  for (int k = 0; k < int(rows.own.size()); ++k)
+    multipliers_[rows.own[k].label] = std::max(double(at.own[k]), 0.0);
+  for (int r = rows.equal; r < rows.joint; ++r)
+    multipliers_[rows.label[r]] = std::max(double(at.joint[r]), 0.0);
+  double value = 0.0, square = 0.0;
+  Vec6 y;
+  for (int r = 0; r < 6; ++r) {
+    y[r] = double(at.joint[r]);
+    value += y[r] * turned_[r];
+  }
+  for (int j = 0; j < in_.joints; ++j) {
+    const double part = double(at.joint[6 + j]);
+    value += part * in_.bias[j] / size_;
+    square += part * part;
+  }
+  for (int k = 0; k < limits; ++k) value -= multipliers_[k] * in_.bound[k] / size_;
+  double most = 1.0;
+  for (int i = 0; i < count; ++i) most = std::max(most, z_[i][0]);
+  for (int i = 0; i < count; ++i) {
+    Tuple<double, D> end{};
+    for (int r = 0; r < 6; ++r) add(end, y[r], in_.turn[r][i]);
+    for (int j = 0; j < in_.joints; ++j) add(end, double(at.joint[6 + j]), in_.torque[j][i]);
+    for (int k = 0; k < limits; ++k) add(end, multipliers_[k], in_.limit[k][i]);
+    value -= std::max(-slack(cone(end)), 0.0) * MOST * most;
+  }
+  // the multipliers of the torques have at most length one
+  const double theta = square > 0.0 ? 1.0 / std::sqrt(square) : 0.0;
+  if (!(theta * value > best_bound_ && theta < infinity)) return;
+  best_bound_ = theta * value;
+  best_nu_ = -theta * y;
+  for (int k = 0; k < limits; ++k) best_multipliers_[k] = theta * multipliers_[k];
 }
 
 template <int D> template <class R>
@@ -158,9 +196,12 @@ inline void ProgramOn<D>::write(Code code, const Record& record, double* multipl
     }
     best_ = inside_;
   }
-  const double unit = elastic() ? 1.0 : size_;  // unit of the objective
+  // unit of the objective
+  const double unit = elastic() ? 1.0 : of_torques() ? size_ * in_.torque_unit : size_;
   out.code = code;
-  out.objective = unit * best_value_;
+  // torques that vanish but for rounding are none
+  const bool none = of_torques() && best_value_ <= NO_TORQUE;
+  out.objective = none ? 0.0 : unit * best_value_;
   out.lower_bound = unit * best_bound_;
   if (elastic()) {
     out.code = code == CONVERGED ? LIMITS_EXCEEDED : code;
@@ -168,17 +209,20 @@ inline void ProgramOn<D>::write(Code code, const Record& record, double* multipl
     best_nu_ = (1.0 / size_) * best_nu_;
     for (double& price : best_multipliers_) price /= size_;
   }
+  if (of_torques()) {
+    best_nu_ = in_.torque_unit * best_nu_;
+    for (double& price : best_multipliers_) price *= in_.torque_unit;
+  }
   out.residual = size_ * best_residual_;
   out.multipliers = in_.pull_back(best_nu_);
   out.margin = infinity;
   for (int i = 0; i < count; ++i) {
-    Vec3<double> x = cone(best_[i]);
+    Vec<double, D> x = cone(best_[i]);
     double* force = record.force() + 3 * i;
     for (int a = 0; a < 3; ++a) force[a] = size_ * x[a] / in_.divisor[4 * i + a];
     std::copy(force, force + 3, record.initial_force() + 3 * i);
-    if (D == 4 && in_.soft[i])
-      record.torsion()[i] = size_ * (best_[i][0] - best_[i][D - 1]) / in_.divisor[4 * i + 3];
-    for (int a = 1; a < 3; ++a)
+    if (D == 4) record.torsion()[i] = size_ * x[D - 1] / in_.divisor[4 * i + 3];
+    for (int a = 1; a < D; ++a)
       if (!(in_.divisor[4 * i + a] < infinity)) x[a] = 0.0;
     out.margin = std::min(out.margin, size_ * slack(x));
   }

@@ -3,7 +3,7 @@
 #pragma once
 #include <climits>
 #include <optional>
-#include <grasp/general/deepest.hpp>
+#include <grasp/general/payload.hpp>
 #include <grasp/general/phi_rows.hpp>
 #include <grasp/newton/excess.hpp>
 
@@ -28,20 +28,24 @@ template <int D> class ProgramOn {
         multipliers_(limits),
         best_multipliers_(limits) {}
   // Memory of a program and of its solves. joints: largest number of rows on several contacts.
-  static std::size_t bytes_needed(int count, int limits, int joints) {
+  // torques: number of joints of `Criterion::torque`
+  static std::size_t bytes_needed(int count, int limits, int joints, int torques) {
+    const int equations = torques ? Constraints<D>::norm_equations(torques) : 0;
+    const int cones = count + (torques ? Constraints<D>::norm_cones(torques) : 0);
     const auto most = [&](int joint) {
       const int owns = limits - joint + count + 1;
-      const int rows = joint + 7;
-      const std::size_t depth = InteriorPoint<DoubleDouble, D, 2>::bytes_needed(count, rows, owns);
-      const std::size_t least = InteriorPoint<double, D, 1>::bytes_needed(count, rows, owns);
+      const int rows = joint + 7 + equations;
+      const std::size_t depth = InteriorPoint<DoubleDouble, D, 2>::bytes_needed(cones, rows, owns);
+      const std::size_t least = InteriorPoint<double, D, 1>::bytes_needed(cones, rows, owns);
       const std::size_t careful =
-          InteriorPoint<DoubleDouble, D, 1>::bytes_needed(count, rows, owns);
+          InteriorPoint<DoubleDouble, D, 1>::bytes_needed(cones, rows, owns);
       return depth + careful +
              std::max(least, PhiRows<double, D>::bytes_needed(count, rows, owns, limits));
     };
-    return Constraints<D>::bytes_needed(count, limits) +
+    return Constraints<D>::bytes_needed(count, limits, torques) +
+           (3 + equations) * Arena::bytes_needed<Tuple<double, D>>(cones) +
            8 * Arena::bytes_needed<Tuple<double, D>>(count) +
-           3 * Arena::bytes_needed<double>(2 * count + limits) +
+           3 * Arena::bytes_needed<double>(count + limits) +
            4 * Arena::bytes_needed<double>(limits) + std::max(most(0), most(joints));
   }
 
@@ -50,6 +54,8 @@ template <int D> class ProgramOn {
 
   Deepest deepest(const double* wrench, double tolerance, double* z, double* multipliers,
                   bool inside = false);
+  Payload payload(const double* direction, const double* wrench, double tolerance, double* z,
+                  double* multipliers);
 
   double missed(const double* wrench, const double* z) {
     load_z(z, z_);
@@ -68,7 +74,7 @@ template <int D> class ProgramOn {
   bool set_internal_force(const double* z) {
     load_z(z, internal_force_);
     in_.rebalance(internal_force_, Vec6{});
-    in_.write_slacks(internal_force_, in_.torsions, slacks_, [](int) { return 0.0; });
+    in_.write_slacks(internal_force_, 0, slacks_, [](int) { return 0.0; });
     double most = 0.0;
     for (const auto& zi : internal_force_) most = std::max(most, zi[0]);
     if (least_of(slacks_) > DEEP * most) has_internal_force_ = true;
@@ -80,7 +86,7 @@ template <int D> class ProgramOn {
     return in_.is_out_of_reach(in_.in_frame(wrench));
   }
 
-  Code least_phi(const Call& call, const double* weights, const double* row_weights,
+  Code least_phi(const Call& call, const Weights<double, 4>* weights, const double* row_weights,
                  const double* z, const Record& record, double* multipliers);
 
  private:
@@ -90,6 +96,8 @@ template <int D> class ProgramOn {
   static constexpr double DEEP = 1e-6;
   // Bound of the normal forces for an excess, relative to the largest one of the start.
   static constexpr double MOST = 1e4;
+  // of the forces: norms of torques below it count as zero
+  static constexpr double NO_TORQUE = 1e-9;
   static constexpr double BEGIN = 1.5;  // of a start's excess: initial increase of the limits
   // iterations before another start or more digits are tried; a dozen is usual
   static constexpr int FIRST_TRY = 40;
@@ -119,16 +127,17 @@ template <int D> class ProgramOn {
   }
   void store_z(const Field& from, double* z) const {
     for (int i = 0; i < count; ++i)
-      for (int a = 0; a < 4; ++a) z[4 * i + a] = a < D ? from[i][a] : 1.0;
+      for (int a = 0; a < 4; ++a) z[4 * i + a] = a < D ? from[i][a] : 0.0;
   }
   bool elastic() const { return criterion_ == Criterion::excess; }
+  bool of_torques() const { return criterion_ == Criterion::torque; }
   // The normal force of a unit of u; weighted, unless excesses are minimised.
   double price(int i) const { return elastic() ? in_.price[i] : in_.cost[i]; }
   // Weighted preload of a contact, in the objective's unit, for `Criterion::largest`.
   double offset(int i) const {
     return criterion_ == Criterion::largest ? in_.offset[i] / size_ : 0.0;
   }
-  int kept() const { return elastic() ? in_.torsions : limits; }  // limits that no force may exceed
+  int kept() const { return elastic() ? 0 : limits; }  // limits that no force may exceed
 
   template <int T> Code solve(const double* wrench, const StopRule& options, Summary& out) {
     int spent = 0;
@@ -141,7 +150,9 @@ template <int D> class ProgramOn {
         inside_from_start(engine);
       const int left = std::min(options.limit, budget_ - spent);
       const int limit = std::min(left, keeps_interior(engine) ? left : FIRST_TRY);
-      const double enough = elastic() ? EXCESS_FLOOR / excess_unit_ : 0.0;
+      const double enough = elastic()      ? EXCESS_FLOOR / excess_unit_
+                            : of_torques() ? 0.1 * NO_TORQUE
+                                           : 0.0;
       const Code code = engine.run(options.tolerance, enough, keeps_interior(engine) ? 0.1 : 0.0,
                                    limit, [&] { return consider(engine); });
       spent += engine.iterations;
@@ -228,8 +239,14 @@ template <int D> class ProgramOn {
   }
   template <class Interior> void set_right(Interior& engine) const {
     auto& joint = engine.rows.right;
-    for (int r = 0; r < engine.rows.joint; ++r)
-      joint[r] = r < 6 ? -turned_[r] : in_.bound[engine.rows.label[r]] / size_;
+    for (int r = 0; r < engine.rows.joint; ++r) {
+      if (r < 6)
+        joint[r] = -turned_[r];
+      else if (r < engine.rows.equal)
+        joint[r] = r - 6 < in_.joints ? -in_.bias[r - 6] / size_ : 0.0;
+      else
+        joint[r] = in_.bound[engine.rows.label[r]] / size_;
+    }
     for (auto& row : engine.rows.own) {
       if (row.label >= 0)
         row.right = in_.bound[row.label] / size_;
@@ -240,7 +257,7 @@ template <int D> class ProgramOn {
   // Largest relative excess of a limit at z.
   double excess(const Field& z) const {
     double most = 0.0;
-    for (int k = in_.torsions; k < limits; ++k)
+    for (int k = 0; k < limits; ++k)
       if (in_.shares[k] > 0.0)
         most =
             std::max(most, (size_ * in_.product(in_.limit[k], z) - in_.bound[k]) / in_.shares[k]);
@@ -262,16 +279,25 @@ template <int D> class ProgramOn {
   // Set slacks and a dual strictly inside for the z of a start: s = c + the limits' part. Slacks
   // below `least` times the largest force are lifted to it. Return false if any was.
   template <class R, int T> bool place(Interior<R, T>& engine, double least);
-  template <int T> double engine_price(int i) const { return T == 1 ? price(i) / count : price(i); }
+  template <int T> double engine_price(int i) const {
+    return of_torques() ? 1.0 : T == 1 ? price(i) / count : price(i);
+  }
+  // Put the cones of the norm of the torques around those of the start.
+  template <class R> void place_norm(Interior<R, 0>& engine);
+  // Raise the bound to the dual value at the multipliers for `Criterion::torque`. Forces up to
+  // most_ pay for what multipliers lack of the dual cones.
+  template <class R> void certify_torques(const Interior<R, 0>& engine);
 
   // Balance the iterate, bring it within the limits and bound its objective; keep the best. Return
   // the gap.
   template <class R, int T> double consider(const Interior<R, T>& engine);
   double gap() const {
     if (!(best_value_ < infinity)) return infinity;
-    const double gap = elastic()           ? (best_value_ - best_bound_) /
-                                                 std::max(best_bound_, EXCESS_FLOOR / EXCESS_WITHIN)
-                       : best_bound_ > 0.0 ? (best_value_ - best_bound_) / best_bound_
+    const double floor = elastic()      ? EXCESS_FLOOR / EXCESS_WITHIN
+                         : of_torques() ? NO_TORQUE / tolerance_
+                                        : 0.0;
+    const double from = std::max(best_bound_, floor);
+    const double gap = from > 0.0           ? (best_value_ - best_bound_) / from
                        : best_value_ == 0.0 ? 0.0
                                             : infinity;
     // rounding of the balance may take it below its bound

@@ -25,21 +25,18 @@ template <int D> template <class R, int T> inline bool ProgramOn<D>::begin(Inter
   if (!has_internal_force_) {
     const Arena::Scope scope;
     const double nothing[6] = {};
-    const Deepest result = Depth(in_, in_.torsions).find(nothing, 1e-2, internal_force_);
+    const Deepest result = Depth(in_, 0).find(nothing, 1e-2, internal_force_);
     has_internal_force_ = result.code == CONVERGED && result.margin > DEEP;
   }
   if (*has_internal_force_) {
     for (auto& z : z_) z = {};
     in_.subtract(z_, turned_);
     double squeeze = 1e-6;
-    in_.write_slacks(z_, in_.torsions, slacks_, [](int) { return 0.0; });
-    in_.write_slacks(internal_force_, in_.torsions, slacks_inside_, [](int) { return 0.0; });
+    in_.write_slacks(z_, 0, slacks_, [](int) { return 0.0; });
+    in_.write_slacks(internal_force_, 0, slacks_inside_, [](int) { return 0.0; });
     for (std::size_t k = 0; k < slacks_.size(); ++k)
       if (slacks_[k] < infinity) squeeze = std::max(squeeze, -slacks_[k] / slacks_inside_[k]);
-    for (int i = 0; i < count; ++i) {
-      add(z_[i], 1.3 * squeeze, internal_force_[i]);
-      if (D == 4 && !in_.soft[i]) z_[i][D - 1] = 1.0;
-    }
+    for (int i = 0; i < count; ++i) add(z_[i], 1.3 * squeeze, internal_force_[i]);
   } else {
     for (auto& z : z_) z = in_.inwards();
   }
@@ -59,9 +56,8 @@ inline bool ProgramOn<D>::place(Interior<R, T>& engine, double least) {
     normal = max(normal, price(i) * at.z[i][0]);
     offset = std::max(offset, this->offset(i));
     at.s[i] = engine.cost[i];
-    if constexpr (T == 1) at.s[i][0] = price(i) / count;
+    if (T == 1 || of_torques()) at.s[i][0] = engine_price<T>(i);
     product += at.z[i][0] * at.s[i][0] / count;
-    if (D == 4) at.s[i][D - 1] = in_.soft[i] ? 0.25 * at.s[i][0] : R(1.0);
   }
   if constexpr (T == 1) {
     at.t = {2.0 * normal + offset};
@@ -78,7 +74,7 @@ inline bool ProgramOn<D>::place(Interior<R, T>& engine, double least) {
     kept = kept && slack > 0.0;
     return max(slack, floor);
   };
-  const double share = 0.1 / std::max(1, limits - in_.torsions);
+  const double share = 0.1 / std::max(1, limits);
   for (int i = 0; i <= count; ++i)
     for (int k = rows.first[i]; k < rows.first[i + 1]; ++k) {
       const auto& row = rows.own[k];
@@ -87,8 +83,6 @@ inline bool ProgramOn<D>::place(Interior<R, T>& engine, double least) {
       at.own_slack[k] = lift(slack);
       if (row.label < 0)
         at.own[k] = R(1.0) / count;
-      else if (row.label < in_.torsions)
-        at.own[k] = at.s[i][D - 1] / row.row[D - 1];
       else
         at.own[k] = min(product / at.own_slack[k], R(i < count ? share * engine_price<T>(i) : 1.0));
     }
@@ -112,15 +106,38 @@ inline bool ProgramOn<D>::place(Interior<R, T>& engine, double least) {
         left += at.own[k] * rows.own[k].shared[0];
       at.own.back() = max(left, R(1e-3));
     }
+  if constexpr (T == 0)
+    if (of_torques()) {
+      place_norm(engine);
+      return kept;
+    }
   for (int i = 0; i < count; ++i) {  // s from its equation
     Tuple<R, D> s = engine.cost[i];
     for (int k = rows.first[i]; k < rows.first[i + 1]; ++k) add(s, at.own[k], rows.own[k].row);
     for (int r = rows.equal; r < rows.joint; ++r)
       add(s, at.joint[r], rows.columns[rows.joint * i + r]);
-    if (D == 4 && !in_.soft[i]) s[D - 1] = 1.0;
     at.s[i] = s;
   }
   return kept;
+}
+
+template <int D> template <class R> inline void ProgramOn<D>::place_norm(Interior<R, 0>& engine) {
+  constexpr double AROUND = 1.3, LEAST = 0.1;  // of the norm, of a unit of force
+  auto& z = engine.at.z;
+  for (int i = 0; i < count; ++i) z_[i] = narrow(z[i]);
+  for (int b = 0; b < in_.norm_cones(); ++b) {
+    Tuple<R, D>& norm = z[count + b] = {};
+    double square = 0.0;
+    for (int slot = 0; slot < in_.SLOTS; ++slot) {
+      const int k = in_.SLOTS * b + slot;
+      if (k >= in_.norm_equations()) break;
+      norm[1 + slot] =
+          k < in_.joints ? R(in_.torque_at(k, z_, size_)) : z[count + k - in_.joints][0];
+      square += double(norm[1 + slot] * norm[1 + slot]);
+    }
+    norm[0] = AROUND * std::sqrt(square) + LEAST;
+    engine.at.s[count + b] = wide<R>(in_.inwards());
+  }
 }
 
 }  // namespace grasp::detail

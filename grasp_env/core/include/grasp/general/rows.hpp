@@ -4,7 +4,7 @@
 #include <algorithm>
 #include <span>
 #include <grasp/math/arena.hpp>
-#include <grasp/math/vec3.hpp>
+#include <grasp/math/vec.hpp>
 
 namespace grasp {
 
@@ -43,27 +43,37 @@ template <class R, class F> [[gnu::always_inline]] inline auto sized(int joint, 
   return f(joint);
 }
 
-// The part (u, o, t) of (u, o, t, w), with w = u - |torsion| in units of its limit.
-template <class R, std::size_t D> inline Vec3<R> cone(const std::array<R, D>& z) {
-  return {z[0], z[1], z[2]};
+// A tuple as a vector in cone coordinates, and back.
+template <class R> inline Vec<R, 3> cone(const std::array<R, 3>& z) { return {z[0], z[1], z[2]}; }
+template <class R> inline Vec<R, 4> cone(const std::array<R, 4>& z) {
+  return {z[0], z[1], z[2], z[3]};
+}
+template <class R, int D> inline Tuple<R, D> tuple(const Vec<R, D>& x) {
+  Tuple<R, D> out;
+  for (int a = 0; a < D; ++a) out[a] = x[a];
+  return out;
 }
 
 // F with dz = F e: coordinates in which a block is the identity before its rows are added.
 template <class R, int D> struct Shape {
-  R a[3][3];
-  R line = 1.0;  // factor of w
+  R a[D][D];
 
   Tuple<R, D> operator*(const Tuple<R, D>& e) const {
     Tuple<R, D> out;
-    for (int r = 0; r < 3; ++r) out[r] = a[r][0] * e[0] + a[r][1] * e[1] + a[r][2] * e[2];
-    if constexpr (D == 4) out[3] = line * e[3];
+    for (int r = 0; r < D; ++r) out[r] = product(e, [&](int k) { return a[r][k]; });
     return out;
   }
   Tuple<R, D> transposed(const Tuple<R, D>& z) const {
     Tuple<R, D> out;
-    for (int c = 0; c < 3; ++c) out[c] = a[0][c] * z[0] + a[1][c] * z[1] + a[2][c] * z[2];
-    if constexpr (D == 4) out[3] = line * z[3];
+    for (int c = 0; c < D; ++c) out[c] = product(z, [&](int k) { return a[k][c]; });
     return out;
+  }
+
+ private:
+  template <class F> static R product(const Tuple<R, D>& e, F&& entry) {
+    R total = entry(0) * e[0] + entry(1) * e[1] + entry(2) * e[2];
+    if constexpr (D == 4) total += entry(3) * e[3];
+    return total;
   }
 };
 

@@ -466,9 +466,13 @@ class Controller {
   // Minimise the balance residual, from the last forces.
   void balance_elastically() {
     closure = near_limits_ = false;
-    touching([&](int i) { std::copy_n(&last_force_[3 * i], 3, &force[3 * i]); });
+    const Record last(last_row_.data());
+    touching([&](int i) {
+      std::copy_n(&last_force_[3 * i], 3, &force[3 * i]);
+      torsion_[i] = has_last_ ? last.torsion()[i] : 0.0;
+    });
     elastic_.solve(within_margin_, mask, &seen().points[0].u, frames.data(), wrench,
-                   settings.follow.limit, force.data());
+                   settings.follow.limit, force.data(), torsion_.data());
     effort.followed += elastic_.iterations;
   }
   void adjust(Doubles coordinates) {
@@ -486,7 +490,8 @@ class Controller {
       double* f = row.force() + 3 * i;
       const double* scale = &within_margin_.scale[3 * i];
       const double preload = method_.margin().preload[i];
-      const double side = std::hypot(scale[1] * f[1], scale[2] * f[2]);
+      const double turning = within_margin_.torsion_scale(i) * row.torsion()[i];
+      const double side = std::hypot(scale[1] * f[1], scale[2] * f[2], turning);
       if (!(scale[0] * (f[0] - preload) > side))
         f[0] = preload + std::max(1.05 * side, LIGHT) / scale[0];
     });

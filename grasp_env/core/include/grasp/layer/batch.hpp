@@ -137,6 +137,12 @@ struct PosedProblem {
   static constexpr double ALONG = 1e-6;    // sine of the angle between a tangent and its normal
 };
 
+// The derivatives of a loss by force (N, 3), torsion (N,) and multipliers (6,), one row per
+// problem; null: zero.
+struct BatchLosses {
+  const double *force, *torsion, *multipliers;
+};
+
 // Gradients for every array of a batch, one row per problem; null: not wanted.
 struct BatchGradients {
   double *positions, *normals, *friction, *tangents, *torsion, *wrench, *jacobian, *torque_limit,

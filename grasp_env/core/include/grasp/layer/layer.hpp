@@ -19,7 +19,8 @@ struct BatchForces {
 constexpr int layer_state_size(int contacts) { return 4 * contacts + 7; }
 inline constexpr int LAYER_FACTS = 4;
 
-class LayerSolver {
+// D: variables of a contact, see `Cones`.
+template <int D> class LayerSolver {
  public:
   LayerSolver(const ForceBatch& batch, const StopRule& options)
       : batch_(batch), options_(options), smooth_(batch) {
@@ -33,7 +34,8 @@ class LayerSolver {
  private:
   static constexpr int W = REGISTER;
   static constexpr int USUAL = 60;  // steps of an ordinary descent
-  using Mask = typename SmoothLanes<W>::Mask;
+  using Smooth = SmoothLanes<W, D>;
+  using Mask = typename Smooth::Mask;
   struct CachedSolver {
     std::optional<ForceOptimizer> solver;
     std::vector<double> constants;  // the data that a call cannot change
@@ -45,7 +47,7 @@ class LayerSolver {
   };
   const ForceBatch& batch_;
   StopRule options_;
-  SmoothLanes<W> smooth_;
+  Smooth smooth_;
   PosedProblem posed_[W];
   CachedSolver within_, free_;  // with the limits; without them
   std::vector<double> row_;     // a solution of theirs
@@ -222,27 +224,32 @@ class LayerSolver {
   }
 };
 
-inline void optimal_forces(const ForceBatch& batch, const StopRule& options,
-                           const BatchForces& to) {
-  LayerSolver(batch, options).solve(to);
+// Call f.template operator()<D>() with the variables of a contact: 4 if torsion is given, even if
+// it is zero, so that the bits of an answer do not depend on the problems beside it.
+template <class F> void with_variables(const ForceBatch& batch, F&& f) {
+  if (batch.torsion)
+    f.template operator()<4>();
+  else
+    f.template operator()<3>();
 }
 
-// Gradients of a loss by all inputs from its derivatives by force (N, 3), torsion (N,) and
-// multipliers (6,) (null: zero), one row per problem. elastic: also for problems without an
-// optimum. Other rows are zero.
-inline void optimal_forces_gradients(const ForceBatch& batch, const double* state,
-                                     const double* by_force, const double* by_torsion,
-                                     const double* by_multipliers, bool elastic,
-                                     const BatchGradients& to) {
+inline void optimal_forces(const ForceBatch& batch, const StopRule& options,
+                           const BatchForces& to) {
+  with_variables(batch, [&]<int D>() { LayerSolver<D>(batch, options).solve(to); });
+}
+
+template <int D> void layer_gradients(const ForceBatch& batch, const double* state,
+                                      const BatchLosses& by, bool elastic,
+                                      const BatchGradients& to) {
   constexpr int W = REGISTER;
   const int size = layer_state_size(batch.contacts);
-  SmoothLanes<W> smooth(batch);
+  SmoothLanes<W, D> smooth(batch);
   PosedProblem posed[W];
   for (PosedProblem& problem : posed) problem = PosedProblem(batch.contacts);
   std::ptrdiff_t waiting[W];
   int filled = 0;
   const auto finish = [&] {
-    typename SmoothLanes<W>::Mask chosen{};
+    typename SmoothLanes<W, D>::Mask chosen{};
     for (int lane = 0; lane < W; ++lane) {
       const std::ptrdiff_t k = waiting[lane < filled ? lane : 0];
       posed[lane].take(batch, k);
@@ -251,7 +258,7 @@ inline void optimal_forces_gradients(const ForceBatch& batch, const double* stat
       if (lane < filled) chosen[lane] = -1;
     }
     smooth.place();
-    smooth.gradients(chosen, by_force, by_torsion, by_multipliers, to);
+    smooth.gradients(chosen, by, to);
     filled = 0;
   };
   for (std::ptrdiff_t k = 0; k < batch.size; ++k) {
@@ -261,6 +268,14 @@ inline void optimal_forces_gradients(const ForceBatch& batch, const double* stat
     if (filled == W) finish();
   }
   if (filled > 0) finish();
+}
+
+// Gradients of a loss by all inputs. elastic: also for problems without an optimum. Other rows are
+// zero.
+inline void optimal_forces_gradients(const ForceBatch& batch, const double* state,
+                                     const BatchLosses& by, bool elastic,
+                                     const BatchGradients& to) {
+  with_variables(batch, [&]<int D>() { layer_gradients<D>(batch, state, by, elastic, to); });
 }
 
 }  // namespace grasp

@@ -5,7 +5,7 @@
 namespace grasp {
 
 // The barriers of limits are parabolas below the edge, which is lowered until all slacks are above.
-template <int W> auto SmoothLanes<W>::descend(Mask live, int most) -> Mask {
+template <int W, int D> auto SmoothLanes<W, D>::descend(Mask live, int most) -> Mask {
   edge_ = select(live, V(LARGEST_EDGE), edge_);
   place_edges();
   V value = energy();
@@ -37,10 +37,7 @@ template <int W> auto SmoothLanes<W>::descend(Mask live, int most) -> Mask {
     converged |= open & whole;
     live &= ~(open & whole);
     harder |= open & ~whole;  // only rounding is left
-    for (int i = 0; i < count(); ++i) {
-      x_[i] += taken * step_[i];
-      v_[i] += taken * step_v_[i];
-    }
+    for (int i = 0; i < count(); ++i) x_[i] += taken * step_[i];
     iterations += select(taken > 0.0, V(1.0), V(0.0));
     if (!any(harder)) continue;
     edge_ = select(harder, max(EDGE_FACTOR * edge_, last_), edge_);
@@ -52,41 +49,29 @@ template <int W> auto SmoothLanes<W>::descend(Mask live, int most) -> Mask {
   return converged;
 }
 
-template <int W> void SmoothLanes<W>::polish(const Mask& which) {
+template <int W, int D> void SmoothLanes<W, D>::polish(const Mask& which) {
   V value = energy();
   const auto left = [&](const Six<V>& y) { return size(missed() - softness_ * y); };
   residual = select(which, left(y_), residual);
   Mask open = which & ~(last_ > 0.0) & ~rank_lost();
   for (int round = 0; round < WHOLE_STEPS && any(open); ++round) {
     Six<V> next = newton_step(value);
-    for (int i = 0; i < count(); ++i) {
-      pull_[i] = Vec{};
-      pull_v_[i] = V{};
-    }
+    std::fill(pull_.begin(), pull_.end(), X{});
     // remove the rounding left in the balance, in the same metric
     Six<V> rest = softness_ * next - missed();
     for (int i = 0; i < count(); ++i)
-      for (int r = 0; r < 6; ++r)
-        rest[r] -= dot(cones_.blocks[i].g[r], step_[i]) + at_[i].gv[r] * step_v_[i];
-    next = next + solve_once(pull_, pull_v_, rest, back_, back_v_);
+      for (int r = 0; r < 6; ++r) rest[r] -= dot(cones_.blocks[i].g[r], step_[i]);
+    next = next + solve_once(pull_, rest, back_);
     for (int i = 0; i < count(); ++i) {
       step_[i] += back_[i];
-      step_v_[i] += back_v_[i];
-      back_[i] = x_[i];
-      back_v_[i] = v_[i];  // the previous point
+      back_[i] = x_[i];  // the previous point
     }
     const V after = energy_along(V(1.0));
-    for (int i = 0; i < count(); ++i) {
-      x_[i] += step_[i];
-      v_[i] += step_v_[i];
-    }
+    for (int i = 0; i < count(); ++i) x_[i] += step_[i];
     const V missing = left(next);
     open &= (after <= value + RAISED * value) &
             (missing <= max(residual, ROUNDED * (cones_.largest_normal(x_) + size(w_))));
-    for (int i = 0; i < count(); ++i) {
-      x_[i] = select(open, x_[i], back_[i]);
-      v_[i] = select(open, v_[i], back_v_[i]);
-    }
+    for (int i = 0; i < count(); ++i) x_[i] = select(open, x_[i], back_[i]);
     y_ = select(open, next, y_);
     value = select(open, after, value);
     residual = select(open, missing, residual);
@@ -100,13 +85,13 @@ template <int W> void SmoothLanes<W>::polish(const Mask& which) {
   residual = select(which & (softness_ > 0.0), size(missed()), residual);
 }
 
-template <int W> auto SmoothLanes<W>::gap() const -> V {
+template <int W, int D> auto SmoothLanes<W, D>::gap() const -> V {
   V bound{}, room = infinity;
   for (int r = 0; r < 6; ++r) bound += y_[r] * w_[r];
   std::vector<V> multipliers(joints_);
   std::fill(along_.begin(), along_.end(), V{});
   for (int i = 0; i < count(); ++i)
-    for (int j = 0; j < joints_; ++j) along_[j] += along(i, j, x_[i], v_[i]);
+    for (int j = 0; j < joints_; ++j) along_[j] += along(i, j, x_[i]);
   // minimum of weight / s + price s over s, less price * bound
   const auto conjugate = [&](const Limit& side, const V& slack) {
     const V price = side.weight / (slack * slack);
@@ -118,20 +103,9 @@ template <int W> auto SmoothLanes<W>::gap() const -> V {
                      conjugate(rows_[j].low, rows_[j].low.bound + along_[j]);
   for (int i = 0; i < count(); ++i) {
     const Contact& c = at_[i];
-    Vec pull = -Block<V>::combined(cones_.blocks[i].g, y_);
-    V turn{};
-    for (int r = 0; r < 6; ++r) turn -= c.gv[r] * y_[r];
-    for (int j = 0; j < joints_; ++j) {
-      pull -= multipliers[j] * column(i, j).c;
-      turn -= multipliers[j] * column(i, j).cv;
-    }
+    X pull = -cones_.blocks[i].transposed(y_);
+    for (int j = 0; j < joints_; ++j) pull -= multipliers[j] * column(i, j).c;
     pull.u -= conjugate(c.high, c.high.bound - x_[i].u) - conjugate(c.low, c.low.bound + x_[i].u);
-    const V near = 1.0 / (x_[i].u - v_[i]);
-    const V far = 1.0 / (x_[i].u + v_[i]);
-    const V price = max(c.lambda_v * (near * near + far * far), abs(turn));
-    const V soft = select(c.lambda_v > 0.0, V(1.0), V(0.0));
-    pull.u += soft * price;
-    bound += sqrt(2.0 * c.lambda_v) * soft * (sqrt(price + turn) + sqrt(max(price - turn, V(0.0))));
     V inside;
     bound += dual(pull, cones_.blocks[i].weights, inside);
     room = min(room, inside);
@@ -141,14 +115,14 @@ template <int W> auto SmoothLanes<W>::gap() const -> V {
   return select((room > 0.0) & (bound > 0.0) & (value < infinity), above / bound, V(infinity));
 }
 
-template <int W>
-void SmoothLanes<W>::write(int lane, double* force, double* torsion, double* multipliers) const {
+template <int W, int D>
+void SmoothLanes<W, D>::write(int lane, double* force, double* torsion, double* multipliers) const {
   const Six<V> y = cones_.unit.pull_back(y_);
   for (int r = 0; r < 6; ++r) multipliers[r] = -get(y[r], lane);
   for (int i = 0; i < count(); ++i) {
-    const Vec world = object_force(i, x_[i]);
+    const Vec3<V> world = object_force(i, x_[i]);
     for (int a = 0; a < 3; ++a) force[3 * i + a] = get(world[a], lane);
-    torsion[i] = get(v_[i] / at_[i].divisor_v, lane);
+    torsion[i] = get(moment(i, x_[i]), lane);
   }
 }
 

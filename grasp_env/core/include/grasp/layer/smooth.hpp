@@ -3,12 +3,12 @@
 // gradients by the adjoint system. system.hpp, stiff.hpp, optima.hpp and gradients.hpp hold the
 // longer functions.
 //
-// Variables of a contact are z = (u, o, t, v) in cone coordinates, with v the torsion of a soft
-// contact in units of its limit. The optimum satisfies
+// Variables of a contact are z = (u, o, t) in cone coordinates, or (u, o, t, v) if the batch has
+// torsional friction. The optimum satisfies
 //     grad E(z) + A^T y = 0,    A z + w - softness y = 0,
-// with E = Phi plus the barriers of torsion and limits, A the map from z to the wrench in the unit
-// frame, and softness 0 unless balance is a penalty. For a loss with derivatives g by z and h by y,
-// the adjoint system
+// with E = Phi plus the barriers of limits, A the map from z to the wrench in the unit frame, and
+// softness 0 unless balance is a penalty. For a loss with derivatives g by z and h by y, the
+// adjoint system
 //     H p + A^T q = g,    A p - softness q = h
 // has the matrix of Newton's step, and d loss / d theta = -(p . d_theta (grad E + A^T y) + q .
 // d_theta (A z + w - softness y)).
@@ -33,17 +33,18 @@ inline constexpr double ELASTIC_EDGE = 0.1;
 // [N^2] per unit of Phi: missed balance costs |missed|^2 / (2 softness)
 inline constexpr double ELASTIC_SOFTNESS = 1e-2;
 
-template <int W> class SmoothLanes {
+// D: variables of a contact, see `Cones`.
+template <int W, int D> class SmoothLanes {
  public:
   using V = Each<W>;
   using Mask = typename V::Mask;
-  using Vec = Vec3<V>;
+  using X = Vec<V, D>;
+  using Field = typename Cones<V, 0, D>::Field;
   V residual{}, iterations{};  // balance residual of the last `polish` [N]; of the last descent
   Mask converged{};            // of the stiff lanes of the last `polish`
 
   explicit SmoothLanes(const ForceBatch& batch)
       : x_(batch.contacts),
-        v_(batch.contacts),
         batch_(batch),
         joints_(batch.torque_limit ? batch.joints : 0),
         cones_(batch.contacts),
@@ -56,10 +57,6 @@ template <int W> class SmoothLanes {
         step_(batch.contacts),
         back_(batch.contacts),
         pull_(batch.contacts),
-        step_v_(batch.contacts),
-        back_v_(batch.contacts),
-        pull_v_(batch.contacts),
-        rest_v_(batch.contacts),
         along_(joints_) {}
 
   // Load problem k into a lane; `place` still reads `posed`.
@@ -80,8 +77,6 @@ template <int W> class SmoothLanes {
       const FrameOf<V> frame(c.frame[0], c.along);
       for (int a = 0; a < 3; ++a) c.frame[a] = frame[a];
       c.arm = c.arm - cones_.unit.centre;
-      for (int r = 0; r < 6; ++r)
-        c.gv[r] = r < 3 ? V{} : cones_.unit.scale() * c.frame[0][r - 3] / c.divisor_v;
     }
     shared_ = false;
     for (int j = 0; j < joints_; ++j) place_row(j);
@@ -98,7 +93,6 @@ template <int W> class SmoothLanes {
     const V scale = best_scale(cones_, rest_);
     for (auto& x : rest_) x = scale * x;
     grasp::begin(cones_, rest_, w_, x_);
-    std::fill(v_.begin(), v_.end(), V{});
     return closes & (cones_.phi(x_) < infinity);
   }
   // Replace the start by forces (N, 3) [N] in contact frames (null: none) if they, once balanced,
@@ -114,12 +108,7 @@ template <int W> class SmoothLanes {
   // Start from a force (N, 3) [N] in contact frames with its torsion (N,) [N m] and multipliers
   // (6,) nu of the given wrench.
   void begin(int lane, const double* force, const double* torsion, const Vec6& nu) {
-    for (int i = 0; i < count(); ++i) {
-      const double per = get(at_[i].divisor_v, lane);
-      for (int a = 0; a < 3; ++a)
-        set(x_[i][a], lane, force[3 * i + a] * get(cones_.blocks[i].scale[a], lane));
-      set(v_[i], lane, per < infinity ? per * torsion[i] : 0.0);
-    }
+    cones_.load_force(force, x_, lane, torsion);
     const auto& unit = cones_.unit;
     const Point turn{nu[3], nu[4], nu[5]};
     const Point centre{get(unit.centre.u, lane), get(unit.centre.o, lane),
@@ -131,27 +120,19 @@ template <int W> class SmoothLanes {
     }
   }
   void begin(int lane) {
-    for (int i = 0; i < count(); ++i) {
-      set(x_[i].u, lane, get(at_[i].unit, lane));
-      set(x_[i].o, lane, 0.0);
-      set(x_[i].t, lane, 0.0);
-      set(v_[i], lane, 0.0);
-    }
+    for (int i = 0; i < count(); ++i)
+      for (int a = 0; a < D; ++a) set(x_[i][a], lane, a == 0 ? get(at_[i].unit, lane) : 0.0);
     for (V& y : y_) set(y, lane, 0.0);
   }
-  // The state of a problem: z (N, 4) and the multipliers in the unit frame.
+  // The state of a problem: z (N, 4), zero beyond D, and the multipliers in the unit frame.
   void save(int lane, double* state) const {
-    for (int i = 0; i < count(); ++i) {
-      for (int a = 0; a < 3; ++a) state[4 * i + a] = get(x_[i][a], lane);
-      state[4 * i + 3] = get(v_[i], lane);
-    }
+    for (int i = 0; i < count(); ++i)
+      for (int a = 0; a < 4; ++a) state[4 * i + a] = a < D ? get(x_[i][a], lane) : 0.0;
     for (int r = 0; r < 6; ++r) state[4 * count() + r] = get(y_[r], lane);
   }
   void restore(int lane, const double* state) {
-    for (int i = 0; i < count(); ++i) {
-      for (int a = 0; a < 3; ++a) set(x_[i][a], lane, state[4 * i + a]);
-      set(v_[i], lane, state[4 * i + 3]);
-    }
+    for (int i = 0; i < count(); ++i)
+      for (int a = 0; a < D; ++a) set(x_[i][a], lane, state[4 * i + a]);
     for (int r = 0; r < 6; ++r) set(y_[r], lane, state[4 * count() + r]);
   }
 
@@ -172,8 +153,7 @@ template <int W> class SmoothLanes {
   void write(int lane, double* force, double* torsion, double* multipliers) const;
 
   // Gradients of a loss at the restored and placed problems, for those that are chosen.
-  void gradients(Mask chosen, const double* by_force, const double* by_torsion,
-                 const double* by_multipliers, const BatchGradients& to);
+  void gradients(Mask chosen, const BatchLosses& losses, const BatchGradients& to);
 
  private:
   // One limit a . z <= bound, with the barrier weight / slack of its normalised slack, quadratic
@@ -208,15 +188,13 @@ template <int W> class SmoothLanes {
   };
   struct Contact {
     // direction of o; (n, o, t); position relative to the contacts' centre [m]
-    Vec along, frame[3], arm;
-    V gv[6], divisor_v, lambda_v;  // torsion: its column, v / torsion (inf: hard), lambda (0: hard)
-    Limit low, high;               // limits of u
-    V unit, edge;  // sqrt(lambda / omega); slack below which the barrier is quadratic
-    // at z: inverse Hessian with the contact's own rows, (inverse, across; across, turn), and the
-    // gradient of all terms
-    Sym3<V> inverse;
-    Vec across, gradient;
-    V turn, gradient_v;
+    Vec3<V> along, frame[3], arm;
+    Limit low, high;  // limits of u
+    V lambda;         // of limits; that of the cone is `fitted`
+    V unit, edge;     // sqrt(lambda / omega); slack below which the barrier is quadratic
+    // at z: inverse Hessian with the contact's own rows, and the gradient of all terms
+    Sym<V, D> inverse;
+    X gradient;
   };
   struct Row {
     Limit low, high;
@@ -226,8 +204,8 @@ template <int W> class SmoothLanes {
     V bend, root;              // bend of an own row; square root of that of a shared row
   };
   struct Column {
-    Vec c;
-    V cv, touched;
+    X c;
+    V touched;
     bool any;  // true if it is non-zero in any lane
   };
   // fraction of E: largest value of a step's balance residual
@@ -255,25 +233,25 @@ template <int W> class SmoothLanes {
   static constexpr double NOISE = 1e-14;  // rounding of E, relative
   static constexpr int STIFF_STEPS = 300;
 
-  typename Cones<V, 0>::Field x_;  // (u, o, t)
-  std::vector<V> v_;
+  Field x_;     // z
   Six<V> y_{};  // multipliers of balance, unit frame
   const ForceBatch& batch_;
   int joints_;
-  Cones<V, 0> cones_;
-  PlacedLanes<W> placed_;
-  typename Cones<V, 0>::Field rest_;
+  Cones<V, 0, D> cones_;
+  PlacedLanes<W, D> placed_;
+  Field rest_;
   std::vector<Contact> at_;
   std::vector<Row> rows_;
   // rows divided by their length; shared rows times their roots
   std::vector<Column> columns_, scaled_;
   bool shared_ = false;  // true if any row is shared
-  typename Cones<V, 0>::Field step_, back_, pull_;
-  std::vector<V> step_v_, back_v_, pull_v_, rest_v_, both_;
+  Field step_, back_, pull_;
+  std::vector<V> both_;
   mutable std::vector<V> along_;
   AnyLdl<V> schur_;
   PivotedQr stiff_;
-  std::vector<double> axes_, nearest_, multipliers_;
+  std::vector<std::array<Vec<double, D>, D>> axes_;
+  std::vector<double> nearest_, multipliers_;
   Six<V> wrench_{}, w_{};
   // edges in units of the limits; smallest slack at the last system
   V softness_{}, last_{}, edge_{}, tightest_{};
@@ -285,22 +263,39 @@ template <int W> class SmoothLanes {
   int shared_rows() const { return shared_ ? joints_ : 0; }
   Column& column(int i, int j) { return columns_[std::size_t(joints_ * i + j)]; }
   const Column& column(int i, int j) const { return columns_[std::size_t(joints_ * i + j)]; }
-  V along(int i, int j, const Vec& x, const V& v) const {
-    return dot(column(i, j).c, x) + column(i, j).cv * v;
+  V along(int i, int j, const X& x) const { return dot(column(i, j).c, x); }
+  static Vec<double, D> of(const X& x, int lane) {
+    Vec<double, D> out;
+    for (int a = 0; a < D; ++a) out[a] = get(x[a], lane);
+    return out;
+  }
+  static Weights<double, D> of(const Weights<V, D>& weights, int lane) {
+    Weights<double, D> out;
+    out.omega = get(weights.omega, lane);
+    out.lambda = get(weights.lambda, lane);
+    if constexpr (D == 4) out.axial = get(weights.axial, lane);
+    return out;
   }
   static void load_side(Limit& side, int lane, bool there, double bound, double weight) {
     set(side.bound, lane, there ? bound : UNBOUNDED);
     set(side.weight, lane, there ? weight : 0.0);
   }
-  Vec object_force(int i, const Vec& z) const {
+  // The force of z in the frame of the positions, and its moment along the normal.
+  Vec3<V> object_force(int i, const X& z) const {
     const Contact& c = at_[i];
-    const Vec& divisor = cones_.blocks[i].divisor;
+    const X& divisor = cones_.blocks[i].divisor;
     return (z.u / divisor.u) * c.frame[0] + (z.o / divisor.o) * c.frame[1] +
            (z.t / divisor.t) * c.frame[2];
   }
+  V moment(int i, const X& z) const {
+    if constexpr (D == 4)
+      return z.v / cones_.blocks[i].divisor.v;
+    else
+      return V{};
+  }
   // Motion (3,) of contact i per speed of joint j, from row `from` of the Jacobian on.
-  Vec motion(int i, int j, int from) const {
-    Vec moves{};
+  Vec3<V> motion(int i, int j, int from) const {
+    Vec3<V> moves{};
     for (int lane = 0; lane < W; ++lane)
       for (int a = 0; a < 3; ++a)
         set(moves[a], lane,
@@ -315,30 +310,22 @@ template <int W> class SmoothLanes {
     for (Row& row : rows_) row.edge = edge_ * row.unit;
   }
 
-  // E with the penalty of missed balance; +inf unless strictly inside. at(i, v): (u, o, t) of
-  // contact i, and its v.
+  // E with the penalty of missed balance; +inf unless strictly inside. at(i): z of contact i.
   template <class F> V energy_at(F&& at) const {
     V total{}, room = infinity;
     Six<V> missed = w_;
     std::fill(along_.begin(), along_.end(), V{});
     for (int i = 0; i < count(); ++i) {
       const Contact& c = at_[i];
-      V turn;
-      const Vec here = at(i, turn);
+      const X here = at(i);
       total += phi(here, cones_.blocks[i].weights);
       room = min(room, min(here.u, lorentz(here, here)));
-      if (batch_.torsion) {
-        const V p = here.u - turn;
-        const V q = here.u + turn;
-        total += c.lambda_v * (1.0 / p + 1.0 / q);
-        room = min(room, select(c.lambda_v > 0.0, min(p, q), V(infinity)));
-      }
       if (batch_.min_normal || batch_.max_normal) {
         total += c.low.barrier(-here.u, c.edge) + c.high.barrier(here.u, c.edge);
         room = min(room, min(c.low.room(-here.u, c.edge), c.high.room(here.u, c.edge)));
       }
-      for (int r = 0; r < 6; ++r) missed[r] += dot(cones_.blocks[i].g[r], here) + c.gv[r] * turn;
-      for (int j = 0; j < joints_; ++j) along_[j] += along(i, j, here, turn);
+      for (int r = 0; r < 6; ++r) missed[r] += dot(cones_.blocks[i].g[r], here);
+      for (int j = 0; j < joints_; ++j) along_[j] += along(i, j, here);
     }
     for (int j = 0; j < joints_; ++j) {
       const Row& row = rows_[j];
@@ -349,22 +336,15 @@ template <int W> class SmoothLanes {
     return select((room > 0.0) & (total == total), total, V(infinity));
   }
   V energy() const {
-    return energy_at([&](int i, V& turn) {
-      turn = v_[i];
-      return x_[i];
-    });
+    return energy_at([&](int i) { return x_[i]; });
   }
   V energy_along(const V& alpha) const {
-    return energy_at([&](int i, V& turn) {
-      turn = v_[i] + alpha * step_v_[i];
-      return x_[i] + alpha * step_[i];
-    });
+    return energy_at([&](int i) { return x_[i] + alpha * step_[i]; });
   }
   Six<V> missed() const {  // A z + w
     Six<V> wrench = w_;
     for (int i = 0; i < count(); ++i)
-      for (int r = 0; r < 6; ++r)
-        wrench[r] += dot(cones_.blocks[i].g[r], x_[i]) + at_[i].gv[r] * v_[i];
+      for (int r = 0; r < 6; ++r) wrench[r] += dot(cones_.blocks[i].g[r], x_[i]);
     return wrench;
   }
 
@@ -379,99 +359,57 @@ template <int W> class SmoothLanes {
   // stiff.hpp: lanes where `solve` loses digits; its version for one lane; Newton's method with it
   Mask stiff() const;
   bool solve_stiff(int lane, const Six<V>& h, Six<V>& q);
-  void axes_of(int lane, int i, double* axes) const;
   V relative_step() const;
   Mask finish(Mask open);
   const Column& scaled(int i, int r) const { return scaled_[joints_ * i + r - 6]; }
 
-  // (inverse^-1 + bend a a^T)^-1 with h = inverse a, square = a . h
-  static void subtract_rank_one(Contact& c, const V& bend, const Vec& h, const V& hv,
-                                const V& square) {
-    const V part = bend / (1.0 + bend * square);
-    const Vec f = part * h;
-    Sym3<V>& m = c.inverse;
-    m.uu -= f.u * h.u;
-    m.uo -= f.u * h.o;
-    m.ut -= f.u * h.t;
-    m.oo -= f.o * h.o;
-    m.ot -= f.o * h.t;
-    m.tt -= f.t * h.t;
-    c.across -= hv * f;
-    c.turn -= part * hv * hv;
-  }
-  [[gnu::always_inline]] void applied(int i, const Vec& g, const V& gv, Vec& out, V& out_v) const {
-    const Contact& c = at_[i];
-    out = c.inverse * g;
-    out_v = V{};
-    if (batch_.torsion) {
-      out += gv * c.across;
-      out_v = dot(c.across, g) + c.turn * gv;
-    }
+  // (inverse^-1 + bend a a^T)^-1
+  static void subtract_rank_one(Sym<V, D>& inverse, const V& bend, const X& a) {
+    const X h = inverse * a;
+    inverse.subtract(bend / (1.0 + bend * dot(h, a)), h);
   }
 
   // Solve H p + A^T q = g, A p - softness q = h, with H of all terms; g is overwritten. Stiff
   // barriers cost digits, so the system also removes the residual of p in h. allowed(q): largest
   // residual of h.
-  template <class F> Six<V> solve(typename Cones<V, 0>::Field& g, std::vector<V>& gv,
-                                  const Six<V>& h, typename Cones<V, 0>::Field& p,
-                                  std::vector<V>& pv, F&& allowed) {
-    Six<V> q = solve_once(g, gv, h, p, pv);
+  template <class F> Six<V> solve(Field& g, const Six<V>& h, Field& p, F&& allowed) {
+    Six<V> q = solve_once(g, h, p);
     for (int round = 0; round < REFINEMENTS; ++round) {
       Six<V> left = h + softness_ * q;
       for (int i = 0; i < count(); ++i)
-        for (int r = 0; r < 6; ++r)
-          left[r] -= dot(cones_.blocks[i].g[r], p[i]) + at_[i].gv[r] * pv[i];
+        for (int r = 0; r < 6; ++r) left[r] -= dot(cones_.blocks[i].g[r], p[i]);
       const Mask rough = size(left) > allowed(q);
       if (!any(rough)) break;
-      for (int i = 0; i < count(); ++i) {
-        g[i] = Vec{};
-        gv[i] = V{};
-      }
-      q = q + solve_once(g, gv, select(rough, left, Six<V>{}), back_, back_v_);
-      for (int i = 0; i < count(); ++i) {
-        p[i] += back_[i];
-        pv[i] += back_v_[i];
-      }
+      std::fill(g.begin(), g.end(), X{});
+      q = q + solve_once(g, select(rough, left, Six<V>{}), back_);
+      for (int i = 0; i < count(); ++i) p[i] += back_[i];
     }
     return q;
   }
-  Six<V> solve_once(typename Cones<V, 0>::Field& g, std::vector<V>& gv, const Six<V>& h,
-                    typename Cones<V, 0>::Field& p, std::vector<V>& pv) {
+  Six<V> solve_once(Field& g, const Six<V>& h, Field& p) {
     for (int r = 0; r < 6 + shared_rows(); ++r) both_[r] = r < 6 ? -h[r] : V{};
     for (int i = 0; i < count(); ++i) {
-      applied(i, g[i], gv[i], p[i], pv[i]);
-      for (int r = 0; r < 6; ++r)
-        both_[r] += dot(cones_.blocks[i].g[r], p[i]) + at_[i].gv[r] * pv[i];
-      for (int r = 6; r < 6 + shared_rows(); ++r)
-        both_[r] += dot(scaled(i, r).c, p[i]) + scaled(i, r).cv * pv[i];
+      p[i] = at_[i].inverse * g[i];
+      for (int r = 0; r < 6; ++r) both_[r] += dot(cones_.blocks[i].g[r], p[i]);
+      for (int r = 6; r < 6 + shared_rows(); ++r) both_[r] += dot(scaled(i, r).c, p[i]);
     }
     schur_.solve(both_);
     for (int i = 0; i < count(); ++i) {
-      for (int r = 0; r < 6; ++r) {
-        g[i] -= both_[r] * cones_.blocks[i].g[r];
-        gv[i] -= both_[r] * at_[i].gv[r];
-      }
-      for (int r = 6; r < 6 + shared_rows(); ++r) {
-        g[i] -= both_[r] * scaled(i, r).c;
-        gv[i] -= both_[r] * scaled(i, r).cv;
-      }
-      applied(i, g[i], gv[i], p[i], pv[i]);
+      for (int r = 0; r < 6; ++r) g[i] -= both_[r] * cones_.blocks[i].g[r];
+      for (int r = 6; r < 6 + shared_rows(); ++r) g[i] -= both_[r] * scaled(i, r).c;
+      p[i] = at_[i].inverse * g[i];
     }
     Six<V> q;
     for (int r = 0; r < 6; ++r) q[r] = both_[r];
     return q;
   }
-  // Newton step into step_ and step_v_. Return the new multipliers.
+  // Newton step into step_. Return the new multipliers.
   Six<V> newton_step(const V& value) {
     assemble();
-    for (int i = 0; i < count(); ++i) {
-      pull_[i] = -at_[i].gradient;
-      pull_v_[i] = -at_[i].gradient_v;
-    }
+    for (int i = 0; i < count(); ++i) pull_[i] = -at_[i].gradient;
     Six<V> left = missed();
     for (V& component : left) component = -component;
-    return solve(pull_, pull_v_, left, step_, step_v_,
-                 [&](const Six<V>& y) { return ROUNDED * value / size(y); });
+    return solve(pull_, left, step_, [&](const Six<V>& y) { return ROUNDED * value / size(y); });
   }
   // Squared decrement of the step, and 1 / (largest step inside the cones).
   struct Progress {
@@ -481,16 +419,8 @@ template <int W> class SmoothLanes {
     Progress step{V{}, V(1e-300)};
     const Six<V> pull = (1.0 / select(softness_ > 0.0, softness_, V(infinity))) * missed();
     for (int i = 0; i < count(); ++i) {
-      const Contact& c = at_[i];
-      const Vec push = c.gradient + Block<V>::combined(cones_.blocks[i].g, pull);
-      V push_v = c.gradient_v;
-      for (int r = 0; r < 6; ++r) push_v += c.gv[r] * pull[r];
-      step.decrement -= dot(push, step_[i]) + push_v * step_v_[i];
-      step.reach = max(step.reach, Boundary<V>(x_[i]).per(step_[i]));
-      if (!batch_.torsion) continue;
-      const V turned = max((step_v_[i] - step_[i].u) / (x_[i].u - v_[i]),
-                           -(step_v_[i] + step_[i].u) / (x_[i].u + v_[i]));
-      step.reach = max(step.reach, select(c.lambda_v > 0.0, turned, V(0.0)));
+      step.decrement -= dot(at_[i].gradient + cones_.blocks[i].transposed(pull), step_[i]);
+      step.reach = max(step.reach, Boundary(x_[i]).per(step_[i]));
     }
     return step;
   }

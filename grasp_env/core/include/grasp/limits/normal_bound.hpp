@@ -3,7 +3,7 @@
 #include <initializer_list>
 #include <vector>
 #include <grasp/math/linear6.hpp>
-#include <grasp/math/vec3.hpp>
+#include <grasp/math/vec.hpp>
 
 namespace grasp {
 

@@ -40,20 +40,14 @@ template <class V> struct Pair {
   void update_inverse(Sym3<V>& inverse) const {
     const V c = high.bend + low.bend;
     const Vec3<V> h = inverse * a;
-    const Vec3<V> f = (c / (1.0 + c * dot(a, h))) * h;
-    inverse.uu -= f.u * h.u;
-    inverse.uo -= f.u * h.o;
-    inverse.ut -= f.u * h.t;
-    inverse.oo -= f.o * h.o;
-    inverse.ot -= f.o * h.t;
-    inverse.tt -= f.t * h.t;
+    inverse.subtract(c / (1.0 + c * dot(a, h)), h);
   }
 };
 
 // All rows. Every contact gets as many pairs as the contact with most rows needs.
 template <class V, int B> class LimitTerms {
  public:
-  static constexpr bool has_terms = true, has_torsion = false;
+  static constexpr bool has_terms = true;
   static constexpr int W = width<V>;
   using Field = typename Cones<V, B>::Field;
   int sides = 0;  // number of rows

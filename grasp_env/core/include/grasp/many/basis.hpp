@@ -14,7 +14,8 @@ inline constexpr double ACCEPTED_GAP = 1e-2;
 // which the others start.
 template <class V, int B> class BasisMaker {
  public:
-  explicit BasisMaker(NewtonSolver<V, B>& newton) : newton_(newton) {}
+  BasisMaker(NewtonSolver<V, B>& newton, Starter<V, B>& starter)
+      : newton_(newton), starter_(starter) {}
 
   // Start from the basis of nearby contacts. Return the worst relative gap; inf: failed.
   double warm() {
@@ -61,6 +62,7 @@ template <class V, int B> class BasisMaker {
 
  private:
   NewtonSolver<V, B>& newton_;
+  Starter<V, B>& starter_;
   double worst_ = 0.0;
   double wrench_[6];
   Vec6 w_;  // the wrench of an optimum; in the unit frame
@@ -74,14 +76,14 @@ template <class V, int B> class BasisMaker {
   // rest as it needs.
   void begin(int k) {
     set_wrench(k);
-    grasp::begin(newton_.cones, newton_.starter.basis[12], w_, newton_.x);
+    grasp::begin(newton_.cones, starter_.basis[12], w_, newton_.x);
   }
   // the second correction removes the rounding that the first left in the balance
   bool begin_warm(int k) {
     set_wrench(k);
-    newton_.x = newton_.starter.basis[k];
+    newton_.x = starter_.basis[k];
     const auto follows = [&] {
-      return newton_.starter.tangent(newton_.cones, newton_.system, w_, newton_.x) &&
+      return starter_.tangent(newton_.cones, newton_.system, w_, newton_.x) &&
              newton_.cones.phi(newton_.x) < infinity;
     };
     return follows() && follows();
@@ -97,28 +99,29 @@ template <class V, int B> class BasisMaker {
       worst_ = infinity;
       return;
     }
-    newton_.starter.safe() = newton_.x;
+    starter_.safe() = newton_.x;
     const Call call{.wrench = wrench_, .stop = BASIS_STOP, .start = From::given};
-    newton_.descend_from(newton_.starter.safe(), call, w_, record, LONG);
+    newton_.descend_from(starter_.safe(), call, w_, record, LONG);
     store_optimum(k, record.summary().objective, record.summary().lower_bound);
   }
   void store_optimum(int k, double value, double bound) {
     newton_.polish(w_);
     newton_.cones.balance(newton_.x, w_);
-    newton_.starter.basis[k] = newton_.x;
+    starter_.basis[k] = newton_.x;
     worst_ = bound > 0.0 ? std::max(worst_, (value - bound) / bound) : infinity;
   }
   double finish() {
-    newton_.starter.has_basis = worst_ < ACCEPTED_GAP;
-    newton_.starter.basis_tangents = newton_.starter.tangents;
+    starter_.has_basis = worst_ < ACCEPTED_GAP;
+    starter_.basis_tangents = starter_.tangents;
     return worst_;
   }
 };
 
-// Fill the basis of `newton`. Return the worst relative gap; inf: failed. warm: the basis holds the
-// optima of nearby contacts; else newton.x is an internal force strictly inside.
-template <class V, int B> double make_basis(NewtonSolver<V, B>& newton, bool warm) {
-  BasisMaker<V, B> maker(newton);
+// Fill the basis of `starter`. Return the worst relative gap; inf: failed. warm: the basis holds
+// the optima of nearby contacts; else newton.x is an internal force strictly inside.
+template <class V, int B>
+double make_basis(NewtonSolver<V, B>& newton, Starter<V, B>& starter, bool warm) {
+  BasisMaker<V, B> maker(newton, starter);
   return warm ? maker.warm() : maker.cold();
 }
 

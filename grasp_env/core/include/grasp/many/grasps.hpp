@@ -9,10 +9,11 @@
 namespace grasp {
 
 // The contacts of one problem, (N, 3) each; weights (N, 2) omega and lambda. apart: stride of the
-// coordinates of a tangent.
+// coordinates of a tangent. torsion: (N,) gamma [m], 0: hard; null: all are hard.
 struct ContactArrays {
   const double *positions, *normals, *scale, *tangents, *weights;
   int apart = 1;
+  const double* torsion = nullptr;
 };
 struct LaneProblem {
   ContactArrays at;
@@ -50,24 +51,27 @@ class Grasps {
   const Contacts* const* placed_;
 };
 
-// The contacts of W grasps, one lane each, placed as by `Contacts`.
-template <int W> class PlacedLanes {
+// The contacts of W grasps, one lane each, placed as by `Contacts`. D: variables of a contact, see
+// `Cones`.
+template <int W, int D = 3> class PlacedLanes {
  public:
   using V = Each<W>;
   using Mask = typename V::Mask;
-  using Field = typename Cones<V, 0>::Field;
+  using Field = typename Cones<V, 0, D>::Field;
 
   explicit PlacedLanes(int count)
       : points_(count),
         normals_(count),
         scales_(count),
         tangents_(count),
+        torsions_(count),
         x_(count),
         step_(count),
-        system_(Cones<V, 0>(count)) {}
+        system_(Cones<V, 0, D>(count)) {}
 
-  // Return the ordinary lanes: finite numbers, normals of unit length, rank 6 beyond doubt.
-  Mask place(const LaneProblem (&problems)[W], Cones<V, 0>& cones) {
+  // Return the ordinary lanes: finite numbers, normals of unit length, rank 6 beyond doubt and
+  // without torsion.
+  Mask place(const LaneProblem (&problems)[W], Cones<V, 0, D>& cones) {
     const int count = cones.count;
     for (int lane = 0; lane < W; ++lane) {
       const ContactArrays& at = problems[lane].at;
@@ -79,6 +83,7 @@ template <int W> class PlacedLanes {
         auto& weights = cones.blocks[i].weights;
         set(weights.omega, lane, at.weights[2 * i]);
         set(weights.lambda, lane, at.weights[2 * i + 1]);
+        if constexpr (D == 4) set(torsions_[i], lane, at.torsion ? at.torsion[i] : 0.0);
       }
     }
     V total{}, off{};
@@ -105,6 +110,13 @@ template <int W> class PlacedLanes {
           block.inverse[r][a] = row[r];
         }
       }
+      const Mask grips = block.scale.o > 0.0;
+      if constexpr (D == 4) {
+        block.weights.axial = select(grips, V(1.0), V(-1.0));
+        place_torsion(torsions_[i], per_length * normal, block);
+      } else {  // see `fitted`
+        block.weights.lambda *= select(grips, V(1.0), V(1.0 / 3.0));
+      }
       block.cost = block.weights.omega / block.divisor.u;
       block.mask = V(1.0);
       block.bind_gjg();
@@ -122,18 +134,31 @@ template <int W> class PlacedLanes {
   }
 
   // As `NewtonSolver::internal_force`, where a few plain steps find one.
-  Mask internal_force(const Cones<V, 0>& cones, Field& rest) {
+  Mask internal_force(const Cones<V, 0, D>& cones, Field& rest) {
     return balance_inside(cones, x_, step_, rest, FEW_STEPS, [&](Six<V>& missed) {
       return system_.internal_step(cones, x_, missed, step_);
     });
   }
 
  private:
-  Field points_, normals_, scales_, tangents_, x_, step_;
-  System<V, 0> system_;
+  std::vector<Vec3<V>> points_, normals_, scales_, tangents_;
+  std::vector<V> torsions_;
+  Field x_, step_;
+  System<V, 0, D> system_;
 
+  // The column of v, as in `Cones::pack`. moment: the wrench of a unit torsion.
+  static void place_torsion(const V& gamma, const Vec3<V>& moment, Block<V, 4>& block) {
+    const Mask soft = gamma > 0.0;
+    block.scale.v = taken_scale(select(soft, block.scale.u / gamma, V(0.0)));
+    block.divisor.v = divisor_of(block.scale.v);
+    block.weights.axial += select(soft, V(1.0), V(0.0));
+    for (int r = 0; r < 6; ++r) {
+      block.g[r].v = r < 3 ? V(0.0) : moment[r - 3] / block.divisor.v;
+      block.inverse[r].v = V(0.0);
+    }
+  }
   // stride: distance between the coordinates of a triple
-  static void gather(const double* from, int stride, int lane, Field& to) {
+  static void gather(const double* from, int stride, int lane, std::vector<Vec3<V>>& to) {
     for (auto& triple : to) {
       set(triple.u, lane, from[0]);
       set(triple.o, lane, from[stride]);

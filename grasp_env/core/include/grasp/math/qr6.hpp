@@ -115,9 +115,9 @@ class Qr6 {
   }
 };
 
-// The same for contacts in lanes, three rows each: row k of all contacts of block b at once, and z
-// with a number for each row.
-template <class V> class LaneQr6 : public Qr6 {
+// The same for contacts in lanes, D rows each: row k of all contacts of block b at once, and z with
+// a number for each row.
+template <class V, int D> class LaneQr6 : public Qr6 {
  public:
   explicit LaneQr6(int blocks) : Qr6(ROWS * blocks) {}
 
@@ -134,7 +134,7 @@ template <class V> class LaneQr6 : public Qr6 {
   }
 
  private:
-  static constexpr int ROWS = 3 * width<V>;  // rows of a block
+  static constexpr int ROWS = D * width<V>;  // rows of a block
   static constexpr int first(int b, int k) { return ROWS * b + width<V> * k; }
 };
 

@@ -96,7 +96,7 @@ template <class V, int B> class LeastExcess {
 
   struct At {
     Vec3<V> s, l, mixed;  // dual slack; scaled point; sum bend share a
-    Scaling<V> m;
+    Scaling<V, 3> m;
     Sym3<V> inverse;    // (M^-1 + sum bend a a^T)^-1
     Vec3<V> dx, ds, d;  // steps; scaled right-hand side
   };
@@ -131,7 +131,7 @@ template <class V, int B> class LeastExcess {
     V gap{}, curvature{};
     for (int b = 0; b < int(x.size()); ++b) {
       auto& at = at_[b];
-      at.m = Scaling<V>(x[b], at.s);
+      at.m = Scaling(x[b], at.s);
       at.l = at.m.scaled(at.s);
       const auto& [v, eta, shrink, root] = at.m;
       const V twice = 2.0 * eta;
@@ -213,8 +213,8 @@ template <class V, int B> class LeastExcess {
         at.ds += multiplier * p.a;
       });
       at.ds = c.mask * at.ds;
-      primal = max(primal, Boundary<V>(x[b]).per(at.dx));
-      dual = max(dual, Boundary<V>(at.s).per(at.ds));
+      primal = max(primal, Boundary(x[b]).per(at.dx));
+      dual = max(dual, Boundary(at.s).per(at.ds));
     }
     return {nu, dt, 1.0 / largest(primal), 1.0 / largest(dual)};
   }

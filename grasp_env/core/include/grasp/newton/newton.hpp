@@ -6,14 +6,15 @@
 
 namespace grasp {
 
-// Rows: further terms of Phi: limits (`LimitTerms`) or torsion (`SoftTerms`).
-template <class V, int B, class Rows = NoRows> class NewtonSolver {
+// Rows: further terms of Phi, such as limits (`LimitTerms`). D: variables of a contact, see
+// `Cones`.
+template <class V, int B, class Rows = NoRows, int D = 3> class NewtonSolver {
  public:
-  using Field = typename Cones<V, B>::Field;
-  Cones<V, B> cones;
-  System<V, B> system;
-  QrSystem<V, B> qr_system;
-  Starter<V, B> starter;
+  using Field = typename Cones<V, B, D>::Field;
+  using X = Vec<V, D>;
+  Cones<V, B, D> cones;
+  System<V, B, D> system;
+  QrSystem<V, B, D> qr_system;
   Rows rows;
   Field x;                  // the start, then the iterate
   std::vector<double> row;  // work space for a record
@@ -22,7 +23,6 @@ template <class V, int B, class Rows = NoRows> class NewtonSolver {
       : cones(count),
         system(cones),
         qr_system(cones),
-        starter(cones),
         x(cones.field()),
         row(record_size(count)),
         step_(cones.field()),
@@ -69,7 +69,7 @@ template <class V, int B, class Rows = NoRows> class NewtonSolver {
   // True if x is balanced and strictly inside.
   bool is_start(const Vec6& w) const {
     if (!cones.is_in_range(x) || !(cones.phi(x, rows) < infinity)) return false;
-    return size(cones.wrench(x) + with_torsion(w)) <= MISSED * (cones.largest_normal(x) + size(w));
+    return size(cones.wrench(x) + w) <= MISSED * (cones.largest_normal(x) + size(w));
   }
 
   // Take one more full step from a converged x unless it raises Phi.
@@ -107,11 +107,9 @@ template <class V, int B, class Rows = NoRows> class NewtonSolver {
   Code finish(Code code, const Field& safe, const Call& call, const Vec6& w,
               const DescentProgress& at, const Record& record) {
     Summary& s = record.summary();
-    const Vec6 left = with_torsion(w);
-    if (at.iterations > 0) cones.balance(x, left);  // rounding of G x + w
-    cones.certify(x, left, record);
-    if (!(s.margin > 0.0 && cones.balanced(x, w, s.residual)) && !Rows::has_torsion)
-      repair(safe, w, record);
+    if (at.iterations > 0) cones.balance(x, w);  // rounding of G x + w
+    cones.certify(x, w, record);
+    if (!(s.margin > 0.0 && cones.balanced(x, w, s.residual))) repair(safe, w, record);
     s.objective = By::unless_rounding(cones.phi(x, rows), at.value);
     s.lower_bound = at.bound;
     s.multipliers = cones.unit.pull_back(at.nu);
@@ -123,10 +121,6 @@ template <class V, int B, class Rows = NoRows> class NewtonSolver {
     s.trials = at.trials;
     s.limit_excess = 0.0;
     std::copy(call.wrench, call.wrench + 6, s.wrench.begin());
-    if constexpr (Rows::has_torsion)
-      rows.store(cones, record.torsion());
-    else
-      std::fill(record.torsion(), record.torsion() + cones.count, 0.0);
     return code;
   }
 
@@ -143,7 +137,7 @@ template <class V, int B, class Rows = NoRows> class NewtonSolver {
   static constexpr double MISSED = 1e-8;
   Field step_, begun_, best_, centring_;
 
-  typename System<V, B>::NewtonStep find_step(const Vec6& nu, const Vec6& left, double value) {
+  typename System<V, B, D>::NewtonStep find_step(const Vec6& nu, const Vec6& left, double value) {
     return system.step(cones, x, nu, left, value, step_, rows);
   }
 
@@ -159,11 +153,10 @@ template <class V, int B, class Rows = NoRows> class NewtonSolver {
 
   bool assemble() {
     if constexpr (Rows::has_terms) {
-      // the rows of limits, or the torsion of soft contacts
-      const auto add_terms = [&](int b, Vec3<V>& gradient, Sym3<V>& inverse) {
+      const auto add_terms = [&](int b, X& gradient, Sym<V, D>& inverse) {
         rows.add_to_gradient_and_hessian(b, x[b], gradient, inverse);
       };
-      return system.assemble(cones, x, add_terms, rows);
+      return system.assemble(cones, x, add_terms);
     } else {
       return system.assemble(cones, x);
     }
@@ -171,13 +164,6 @@ template <class V, int B, class Rows = NoRows> class NewtonSolver {
 
   void move(double alpha) {
     for (int b = 0; b < int(x.size()); ++b) x[b] += all<V>(alpha) * step_[b];
-    if constexpr (Rows::has_torsion) rows.move(alpha);
-  }
-  Vec6 with_torsion(const Vec6& w) const {
-    if constexpr (Rows::has_torsion)
-      return w + rows.wrench(cones);
-    else
-      return w;
   }
 
   // Damped Newton from x. Digits are lost if forces exceed their distance to the cones by 1e4.
@@ -185,7 +171,7 @@ template <class V, int B, class Rows = NoRows> class NewtonSolver {
                                  double fraction, bool leaping) {
     const double tolerance = call.stop.tolerance;
     const double tight = By::dual_precision(tolerance);
-    typename System<V, B>::NewtonStep step{};
+    typename System<V, B, D>::NewtonStep step{};
     const auto closed = [&] { return certified(call, at.value, at); };
     const auto find = [&](Code& code) {
       if (!assemble()) return Next::stop;
@@ -289,7 +275,7 @@ template <class V, int B, class Rows = NoRows> class NewtonSolver {
     const auto reach = [&](double part) {
       V most{};
       for (int b = 0; b < int(x.size()); ++b)
-        most = max(most, Boundary<V>(x[b]).per(all<V>(part) * step_[b] + centring_[b]));
+        most = max(most, Boundary(x[b]).per(all<V>(part) * step_[b] + centring_[b]));
       return largest(most);
     };
     const double nearest = std::max(qr_system.nearest_part(), std::max(1e-3 * before, 1e-30));

@@ -38,7 +38,7 @@ template <class V, int B> class Algorithms {
       const auto& x = on_.newton.x;
       cones_.store_force(x, record_.initial_force());
       cones_.certify(x, w_, record_);
-      record_.summary().objective = cones_.phi(x);
+      record_.summary().objective = phi_of(x);
       record_.summary().lower_bound = -infinity;
       return STARTED;
     }
@@ -115,6 +115,12 @@ template <class V, int B> class Algorithms {
   // The method has no algorithm for these contacts.
   Code unserved() const {
     return on_.current.now.placing == Placing::rank_lost ? RANK_LOST : REFUSED;
+  }
+  // Phi of a start, which has no torsion.
+  double phi_of(const typename Solvers<V, B>::Field& x) {
+    if (on_.placement.kind != ProblemKind::soft) return cones_.phi(x);
+    on_.soft->begin(x);
+    return on_.soft->newton.cones.phi(on_.soft->newton.x);
   }
   void clear_record() {
     record_.clear();
@@ -220,7 +226,7 @@ template <class V, int B> class Algorithms {
     if (call_.used.start == Start::given) return general();
     const auto begin = [&](const Vec6&) {
       const Code begun = follows ? starts_.find_replacement() : starts_.find();
-      if (begun == CONVERGED) soft.newton.x = on_.newton.x;
+      if (begun == CONVERGED) soft.begin(on_.newton.x);
       return begun == CONVERGED;
     };
     const Code code = soft.solve(call, record_, begin);
@@ -307,7 +313,7 @@ template <class V, int B> class Algorithms {
     if (now.soft()) {
       on_.place_soft();
       code = on_.soft->solve(call, record, [&](const Vec6&) {
-        on_.soft->newton.x = newton.x;
+        on_.soft->begin(newton.x);
         return true;
       });
     } else {

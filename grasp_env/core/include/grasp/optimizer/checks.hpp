@@ -24,9 +24,12 @@ inline void check(const CurrentContacts& contacts, const Options& options) {
   }
   refuse(!(options.tolerance <= 1.0), "the tolerance is a part of the objective: at most 1");
   refuse(options.elastic && !limited, "elastic belongs to limits: add limits");
-  refuse(options.criterion == Criterion::excess ||
-             (options.criterion != Criterion::sum && options.method != Method::conic),
-         "the criterion belongs to conic: sum or largest");
+  const Criterion criterion = options.criterion;
+  refuse(criterion == Criterion::excess || criterion == Criterion::load ||
+             (criterion != Criterion::sum && options.method != Method::conic),
+         "the criterion belongs to conic: sum, largest or torque");
+  refuse(criterion == Criterion::torque && contacts.joints == 0,
+         "the criterion torque needs the hand's jacobian: add limits that have one");
   refuse(options.model && !options.model->fits(home.count),
          "the model is for another number of contacts");
 }

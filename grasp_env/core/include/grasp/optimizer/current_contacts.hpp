@@ -50,9 +50,7 @@ class CurrentContacts {
   double friction_margin = 1.0;      // of this call; `now` has the friction within it
   Preload preload;                   // of `now`
   int joints;
-  LimitTable table;  // limits of the current contacts, if each acts on one contact
-  // (n,) torsion in units of its limit / torsion [1 / m]; inf: not soft
-  std::vector<double> divisor;
+  LimitTable table;         // limits of the current contacts, if each acts on one contact
   std::vector<int> chosen;  // indices of the contacts that touch
   bool separate = true;     // true if each limit acts on one contact
 
@@ -64,7 +62,6 @@ class CurrentContacts {
         home_preload(home.count),
         preload({}, home.count),
         joints(int(limits.joints())),
-        divisor(home.count, infinity),
         chosen(home.count),
         contact_jacobian_(4 * home.count * joints),
         gathered_(6 * home.count),
@@ -133,8 +130,6 @@ class CurrentContacts {
     const Placing placed = now.place(positions, normals);
     if (placed == Placing::refused) return REFUSED;
     if (now.reach.rank == 0) return RANK_LOST;
-    for (int i = 0; i < now.count; ++i)
-      divisor[i] = now.torsion[i] > 0.0 ? now.scale[3 * i] / now.torsion[i] : infinity;
     return load_limits(changes) ? CONVERGED : REFUSED;
   }
 
@@ -233,8 +228,8 @@ class CurrentContacts {
     jacobian_ = changes.jacobian.empty() ? Doubles(limits.jacobian) : changes.jacobian;
     bias_ = changes.torque_bias.empty() ? Doubles(limits.torque_bias) : changes.torque_bias;
     separate = true;
+    if (!joints && !limits.rows) return true;
     if (joints) turn_jacobian();
-    if (!limits.rows) return true;
     const auto usable = [](Doubles numbers) {
       return std::ranges::all_of(numbers, [](double value) { return std::abs(value) <= LARGEST; });
     };
@@ -242,7 +237,7 @@ class CurrentContacts {
     for (int i : std::span(chosen).first(now.count))
       if (!usable(jacobian_.subspan(per_contact * i, per_contact))) return false;
     if (!usable(bias_)) return false;
-    separate = table.fill(now, limits_in_place(), 4, preload);
+    if (limits.rows) separate = table.fill(now, limits_in_place(), 4, preload);
     return true;
   }
   // Jacobian (n, 4, J): velocities along (normal, o, t), and the angular velocity about the normal.

@@ -1,7 +1,7 @@
 // The interface of the solver behind `ForceOptimizer`; `lane_engine.hpp` implements it.
 #pragma once
 #include <optional>
-#include <grasp/general/deepest.hpp>
+#include <grasp/general/payload.hpp>
 #include <grasp/problem.hpp>
 #include <grasp/record.hpp>
 
@@ -16,6 +16,8 @@ class alignas(64) Engine {
   virtual void solve_many(std::ptrdiff_t count, const double* wrenches, double* rows) = 0;
   virtual bool update(const Changes& now) = 0;
   virtual Deepest deepest(const double* wrench, double* force, double* torsion) = 0;
+  virtual Payload payload(const double* direction, const double* wrench, double tolerance,
+                          double* force, double* torsion, double* multipliers) = 0;
   virtual std::optional<Vec6> within_reach(const double* wrench, const Changes& now) = 0;
   // Set the offline optima of the problem's contacts, (13, 3N) in cone coordinates.
   virtual void set_basis(const double* basis) = 0;

@@ -67,12 +67,7 @@ template <class V, int B> class GivenForce {
       for (int a = 0; a < 3; ++a) most = std::max(most, std::abs(f[a]));
     }
     load();
-    for (int i = 0; i < current.now.count; ++i)
-      if (torsion()[i] != 0.0 && !(current.divisor[i] * std::abs(torsion()[i]) <
-                                   current.now.scale[3 * i] * force()[3 * i]))
-        return false;
-    const auto& cones = on_.newton.cones;
-    if (!cones.is_in_range(on_.newton.x) || !(cones.phi(on_.newton.x) < infinity)) return false;
+    if (!on_.newton.cones.is_in_range(on_.newton.x) || !is_inside()) return false;
     const double missed = program.missed(call_.wrench.data(), force().data(), torsion().data());
     return missed <= General::BALANCE_TOLERANCE * (most + grasp::size(call_.w));
   }
@@ -84,6 +79,17 @@ template <class V, int B> class GivenForce {
 
   std::vector<double>& force() { return on_.given.force; }
   std::vector<double>& torsion() { return on_.given.torsion; }
+  // True if force and torsion are strictly inside the cones.
+  bool is_inside() {
+    const Contacts& now = on_.current.now;
+    for (int i = 0; i < now.count; ++i) {
+      Vec<double, 4> x;
+      for (int a = 0; a < 3; ++a) x[a] = now.scale[3 * i + a] * force()[3 * i + a];
+      x.v = now.torsion_scale(i) * torsion()[i];
+      if (!(slack(x) > 0.0) || (torsion()[i] != 0.0 && x.v == 0.0)) return false;
+    }
+    return true;
+  }
   void load() {
     on_.current.preload.subtract_from(force().data(), on_.current.now.count);
     on_.newton.cones.load_point(force().data(), on_.newton.x);

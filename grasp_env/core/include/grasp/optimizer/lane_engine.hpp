@@ -78,6 +78,18 @@ template <class V, int B> class LaneEngine final : public Engine {
     preload.add_to(force, home().count);
     return deepest;
   }
+  Payload payload(const double* direction, const double* wrench, double tolerance, double* force,
+                  double* torsion, double* multipliers) override {
+    const bool usable = on_.place({}) == CONVERGED && is_valid_wrench(wrench);
+    General* program = usable ? on_.general() : nullptr;
+    if (!program) return {};
+    const Preload& preload = on_.current.preload;
+    const Vec6 load = preload.added_to(wrench, on_.current.now);
+    const Payload payload = program->payload(direction, load.data(), tolerance, force, torsion);
+    preload.add_to(force, home().count);
+    std::ranges::copy(program->multipliers(), multipliers);
+    return payload;
+  }
   std::optional<Vec6> within_reach(const double* wrench, const Changes& now) override {
     if (on_.place(now) != CONVERGED || !is_valid_wrench(wrench) || on_.current.now.reach.full())
       return {};
@@ -86,15 +98,15 @@ template <class V, int B> class LaneEngine final : public Engine {
 
   void set_basis(const double* basis) override {
     on_.place({});  // the last call may have used fewer contacts
-    on_.newton.starter.set_basis(on_.newton.cones, basis, home().frames.data());
+    on_.starter.set_basis(on_.newton.cones, basis, home().frames.data());
   }
   double make_basis(double* basis, bool warm) override {
     on_.place({});
-    if (warm) on_.newton.starter.set_basis(on_.newton.cones, basis);
+    if (warm) on_.starter.set_basis(on_.newton.cones, basis);
     const double gap = on_.fill_basis(warm);
     if (gap < infinity)
       for (int k = 0; k < 13; ++k)
-        on_.newton.cones.store(on_.newton.starter.basis[k], basis + 3 * home().count * k);
+        on_.newton.cones.store(on_.starter.basis[k], basis + 3 * home().count * k);
     return gap;
   }
 
@@ -125,7 +137,7 @@ template <class V, int B> class LaneEngine final : public Engine {
     const Contacts& now = current.now;
     call.wrench = current.preload.added_to(call.request.wrench, now);
     call.w = on_.newton.cones.unit.of(call.wrench.data());
-    if (on_.options.criterion == Criterion::largest) return;  // which counts preloads itself
+    if (on_.options.criterion != Criterion::sum) return;  // the others count preloads themselves
     call.offset = current.preload.cost(now.count, [&](int i) {
       return cost_of_normal_force(on_.options.method, now.omega[i], now.scale[3 * i]);
     });

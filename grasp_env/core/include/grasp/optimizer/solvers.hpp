@@ -53,6 +53,7 @@ template <class V, int B> class Solvers {
   const Options options;
   CurrentContacts current;
   NewtonSolver<V, B> newton;
+  Starter<V, B> starter;
   std::optional<LimitedNewton<V, B>> limited;
   std::optional<SoftNewton<V, B>> soft;
   std::optional<Prediction<V, B>> prediction;
@@ -72,6 +73,7 @@ template <class V, int B> class Solvers {
       : options(options),
         current(problem),
         newton(count()),
+        starter(newton.cones),
         home_tangents(newton.cones),
         begun(newton.cones.field()),
         work(begun),
@@ -80,13 +82,14 @@ template <class V, int B> class Solvers {
         answer{std::vector<double>(record_size(count())), std::vector<double>(current.limits.rows)},
         kept(answer),
         conic_(count(), {options.gap(), std::min(options.limit, General::CONIC_ITERATIONS)}),
-        general_(count(), current.limits.rows, current.home.soft()) {
+        general_(count(), current.limits.rows, current.home.soft(),
+                 options.criterion == Criterion::torque ? current.joints : 0) {
     check(current, options);
     if (current.limits.rows) {
       limited.emplace(count());
       limited->elastic = options.elastic;
     }
-    if (current.home.soft()) soft.emplace(current.home, current.divisor.data());
+    if (current.home.soft()) soft.emplace(count());
     place_home();
     if (options.method == Method::reduced_flow)
       flow_.emplace(newton.cones, options.step_rule, Form::reduced);
@@ -126,7 +129,7 @@ template <class V, int B> class Solvers {
     }
     current.take_over(now);
     place_home();
-    newton.starter.has_basis = false;
+    starter.has_basis = false;
     if (needs_basis()) fill_basis();
     return true;
   }
@@ -145,8 +148,8 @@ template <class V, int B> class Solvers {
     return conic_;
   }
   void place_soft() {
-    soft->newton.cones = newton.cones;
-    soft->newton.rows.pack(newton.cones, current.now, current.divisor.data());
+    soft->newton.cones.count = current.now.count;
+    soft->newton.cones.pack(current.now);
   }
   // The flow, or null if G has lost rank.
   FlowSolver<V, B>* flow() {
@@ -156,9 +159,10 @@ template <class V, int B> class Solvers {
   // The general program, or null if it cannot be placed on these contacts and limits.
   General* general() {
     const auto place = [&] {
-      return general_.place(current.now, is_torsional() ? current.divisor.data() : nullptr,
-                            current.limits.rows ? current.limits_in_place() : ForceLimits{}, 4,
-                            internal_force_array(), current.preload) == Placing::good;
+      const bool with_torques = options.criterion == Criterion::torque;
+      const bool limited = current.limits.rows > 0 || with_torques;
+      return general_.place(current.now, limited ? current.limits_in_place() : ForceLimits{}, 4,
+                            internal_force_array(), current.preload, with_torques) == Placing::good;
     };
     return general_placed_.at(placement, place) ? &general_ : nullptr;
   }
@@ -180,11 +184,11 @@ template <class V, int B> class Solvers {
   // starts that need it are replaced. warm: start from the basis of nearby contacts. Return the
   // worst relative gap; inf: not converged, nan: no force closure.
   double fill_basis(bool warm = false) {
-    newton.starter.has_basis = false;
+    starter.has_basis = false;
     const bool usable = placement.code == CONVERGED && is_full_rank();
     if (!usable || (!warm && !find_any_internal_force()))
       return std::numeric_limits<double>::quiet_NaN();
-    return make_basis(newton, warm);
+    return make_basis(newton, starter, warm);
   }
 
  private:
@@ -206,7 +210,7 @@ template <class V, int B> class Solvers {
     if (code != CONVERGED) return code;
     set_count(current.now.count);
     newton.cones.pack(current.now);
-    newton.starter.tangents.load(current.now.frames.data(), current.now.count);
+    starter.tangents.load(current.now.frames.data(), current.now.count);
     placement.kind = kind();
     if (placement.kind == ProblemKind::soft) {
       place_soft();
@@ -222,16 +226,12 @@ template <class V, int B> class Solvers {
     if (!is_full_rank() || !current.separate || (soft && limited)) return ProblemKind::other;
     return soft ? ProblemKind::soft : limited ? ProblemKind::limited : ProblemKind::hard;
   }
-  bool is_torsional() const {
-    return placement.kind == ProblemKind::soft ||
-           (placement.kind == ProblemKind::other && current.now.soft());
-  }
   // Set the number of contacts. Unused lanes hold a contact without effect.
   void set_count(int count) {
     if (newton.cones.count == count) return;
     newton.cones.count = count;
-    const auto clear = [](Field& x) {
-      for (auto& v : x) v = {all<V>(1.0), V{}, V{}};
+    const auto clear = [](auto& field) {
+      for (auto& x : field) x = axis<std::decay_t<decltype(x)>::size>(all<V>(1.0));
     };
     for (Field* field : {&newton.x, &begun, &work, &predicted, &conic_.rest}) clear(*field);
     if (limited) clear(limited->newton.x);
@@ -256,7 +256,7 @@ template <class V, int B> class Solvers {
   // An internal force in the form the general program takes; null if there is none.
   const double* internal_force_array() {
     const Search search = options.method == Method::conic ? Search::thorough : Search::quick;
-    if (is_torsional() || !is_full_rank() || !has_internal_force(search)) return nullptr;
+    if (!is_full_rank() || !has_internal_force(search)) return nullptr;
     newton.cones.store_force(internal_force(), given.force.data());
     return given.force.data();
   }

@@ -15,7 +15,7 @@ template <class V, int B> class Starts {
         given_(on, call),
         newton_(on.newton),
         cones_(on.newton.cones),
-        starter_(on.newton.starter),
+        starter_(on.starter),
         x_(on.newton.x) {}
 
   // The start of the call or of the options; the default start of the method.

@@ -1,5 +1,6 @@
 // Contacts packed for the registers, W to a block, and the functions of a force x on them (cone
-// coordinates) that every solver uses.
+// coordinates) that every solver uses. D = 3: (u, o, t); 4: (u, o, t, v) with the torsion of soft
+// contacts, which stays zero in the others.
 #pragma once
 #include <grasp/contacts/contacts.hpp>
 #include <grasp/phi/phi.hpp>
@@ -8,32 +9,38 @@
 
 namespace grasp {
 
+// Weights of a contact in Phi.
+inline Weights<double, 4> weights_of(const Contacts& c, int i) {
+  return {c.omega[i], c.lambda[i], c.tangential(i) - 1.0};
+}
+
 // Constants of W contacts. Unused lanes hold a contact without effect: G = 0, weights 1, mask 0,
 // force (1, 0, 0).
-template <class V> struct Block {
+template <class V, int D = 3> struct Block {
   using S = Reduced<V>;
-  Vec3<V> g[6], inverse[6];  // row r of G, and of (G^+)^T, unit frame
-  V gjg[21];                 // G J G^T, J = diag(1, -1, -1)
-  Vec3<V> scale, divisor;
-  Weights<V> weights;
+  using X = Vec<V, D>;
+  X g[6], inverse[6];  // row r of G, and of (G^+)^T, unit frame
+  V gjg[21];           // G J G^T, J = diag(1, -1, ..)
+  X scale, divisor;
+  Weights<V, D> weights;
   V cost, mask;  // weight of u in the sum of normal forces, omega / mu; 1 for a contact, 0
                  // for an unused lane
 
-  Vec3<V> transposed(const Six<S>& n) const { return combined(g, n); }   // G^T n
-  Vec3<V> least(const Six<S>& n) const { return combined(inverse, n); }  // G^+ n
+  X transposed(const Six<S>& n) const { return combined(g, n); }   // G^T n
+  X least(const Six<S>& n) const { return combined(inverse, n); }  // G^+ n
   void bind_gjg() {
     for (int r = 0; r < 6; ++r)
       for (int s = 0; s <= r; ++s) gjg[packed(r, s)] = lorentz(g[r], g[s]);
   }
   // out += G x, lane by lane
-  void add_wrench(const Vec3<V>& x, V (&out)[6]) const { add(g, x, out); }
+  void add_wrench(const X& x, V (&out)[6]) const { add(g, x, out); }
 
   // the same for other rows
-  [[gnu::always_inline]] static void add(const Vec3<V>* rows, const Vec3<V>& x, V (&out)[6]) {
+  [[gnu::always_inline]] static void add(const X* rows, const X& x, V (&out)[6]) {
 #pragma GCC unroll 8
     for (int r = 0; r < 6; ++r) out[r] += dot(rows[r], x);
   }
-  [[gnu::always_inline]] static Vec3<V> combined(const Vec3<V>* rows, const Six<S>& n) {
+  [[gnu::always_inline]] static X combined(const X* rows, const Six<S>& n) {
     const auto pair = [&](int r) {
       return all<V>(n[r]) * rows[r] + all<V>(n[r + 1]) * rows[r + 1];
     };
@@ -48,21 +55,22 @@ template <class V> inline Six<Reduced<V>> sums(const V (&a)[6]) {
   return out;
 }
 
-template <class V, int B> class Cones {
+template <class V, int B, int D = 3> class Cones {
  public:
   static constexpr int W = width<V>;
-  using Field = Blocks<Vec3<V>, B>;  // a triple per contact
+  using X = Vec<V, D>;
+  using Field = Blocks<X, B>;  // a vector per contact
   using S = Reduced<V>;
   int count;
   UnitFrameOf<S> unit;
-  Blocks<Block<V>, B> blocks;
+  Blocks<Block<V, D>, B> blocks;
 
   explicit Cones(int count) : count(count) { resize(blocks, needed()); }
 
   Field field() const {
     Field out;
     resize(out, needed());
-    for (auto& x : out) x = {all<V>(1.0), V{}, V{}};
+    for (auto& x : out) x = axis<D>(all<V>(1.0));
     return out;
   }
 
@@ -72,7 +80,12 @@ template <class V, int B> class Cones {
     for (int b = 0; b < int(blocks.size()); ++b) {
       const V& used = blocks[b].mask;
       const V grips = select(blocks[b].scale.o > 0.0, used, V{});
-      x[b] = {used * x[b].u + (1.0 - used), grips * x[b].o, grips * x[b].t};
+      const V along = used * x[b].u + (1.0 - used);
+      if constexpr (D == 3)
+        x[b] = {along, grips * x[b].o, grips * x[b].t};
+      else
+        x[b] = {along, grips * x[b].o, grips * x[b].t,
+                blocks[b].scale.v > 0.0 ? used * x[b].v : V{}};
     }
   }
 
@@ -85,8 +98,10 @@ template <class V, int B> class Cones {
       const bool used = i < count;
       set(block.mask, n, used);
       set(block.cost, n, used ? c.omega[i] / c.divisor[3 * i] : 1.0);
-      set(block.weights.omega, n, used ? c.omega[i] : 1.0);
-      set(block.weights.lambda, n, used ? c.lambda[i] : 1.0);
+      const auto weights = fitted<D>(used ? weights_of(c, i) : Weights<double, 4>{1.0, 1.0, 1.0});
+      set(block.weights.omega, n, weights.omega);
+      set(block.weights.lambda, n, weights.lambda);
+      if constexpr (D == 4) set(block.weights.axial, n, weights.axial);
       for (int a = 0; a < 3; ++a) {
         set(block.scale[a], n, used ? c.scale[3 * i + a] : 1.0);
         set(block.divisor[a], n, used ? c.divisor[3 * i + a] : 1.0);
@@ -95,13 +110,23 @@ template <class V, int B> class Cones {
           set(block.inverse[r][a], n, used ? c.inverse[6 * (3 * i + a) + r] : 0.0);
         }
       }
+      if constexpr (D == 4) {  // forces alone balance, by `inverse`
+        const double scale = used ? c.torsion_scale(i) : 1.0;
+        const Vec6 moment = used ? c.torsion_wrench(i) : Vec6{};
+        set(block.scale.v, n, scale);
+        set(block.divisor.v, n, divisor_of(scale));
+        for (int r = 0; r < 6; ++r) {
+          set(block.g[r].v, n, moment[r] / divisor_of(scale));
+          set(block.inverse[r].v, n, 0.0);
+        }
+      }
     }
     for (auto& block : blocks) block.bind_gjg();
   }
 
   // Load a register of problems that all have the contacts of one.
-  template <class C, int D> void spread(const Cones<C, D>& one)
-    requires many<V>
+  template <class C, int A> void spread(const Cones<C, A>& one)
+    requires(many<V> && D == 3)
   {
     unit = UnitFrameOf<S>(one.unit);
     for (int i = 0; i < count; ++i) {
@@ -127,7 +152,7 @@ template <class V, int B> class Cones {
     }
   }
 
-  // (3N,) numbers into the lanes, and back; for a register of problems, those of one lane
+  // (3N,) numbers (u, o, t) into the lanes, and back; for a register of problems, those of one lane
   void load(const double* from, Field& x, int lane = 0) const {
     for_each(lane, [&](int b, int n, int at) {
       for (int a = 0; a < 3; ++a) set(x[b][a], n, from[at + a]);
@@ -138,10 +163,13 @@ template <class V, int B> class Cones {
       for (int a = 0; a < 3; ++a) to[at + a] = get(x[b][a], n);
     });
   }
-  // the same for forces (normal, o, t) [N]
-  void load_force(const double* from, Field& x, int lane = 0) const {
+  // the same for forces (normal, o, t) [N]; torsion: (N,) [N m], null: zero
+  void load_force(const double* from, Field& x, int lane = 0,
+                  [[maybe_unused]] const double* torsion = nullptr) const {
     for_each(lane, [&](int b, int n, int at) {
       for (int a = 0; a < 3; ++a) set(x[b][a], n, from[at + a] * get(blocks[b].scale[a], n));
+      if constexpr (D == 4)
+        set(x[b].v, n, torsion ? torsion[at / 3] * get(blocks[b].scale.v, n) : 0.0);
     });
   }
   // the same for a point at which Phi is evaluated; a direction keeps zeros in unused lanes
@@ -151,7 +179,7 @@ template <class V, int B> class Cones {
   }
   void to_force(Field& x) const {
     for (int b = 0; b < int(blocks.size()); ++b)
-      for (int a = 0; a < 3; ++a) x[b][a] = x[b][a] / blocks[b].divisor[a];
+      for (int a = 0; a < D; ++a) x[b][a] = x[b][a] / blocks[b].divisor[a];
   }
   void store_force(const Field& x, double* to) const {
     for (int b = 0; b < int(blocks.size()); ++b)
@@ -159,6 +187,13 @@ template <class V, int B> class Cones {
         const V force = x[b][a] / blocks[b].divisor[a];
         for (int n = 0; n < W && W * b + n < count; ++n) to[3 * (W * b + n) + a] = get(force, n);
       }
+  }
+  void store_torsion(const Field& x, double* to) const {  // (N,) [N m]
+    for (int i = 0; i < count; ++i)
+      if constexpr (D == 4)
+        to[i] = get(x[i / W].v, i % W) / get(blocks[i / W].divisor.v, i % W);
+      else
+        to[i] = 0.0;
   }
 
   // +inf unless strictly inside every cone
@@ -198,7 +233,7 @@ template <class V, int B> class Cones {
   // 1 / (largest step inside the cones); <= 0: the whole ray is inside
   S reach(const Field& x, const Field& step) const {
     V most{};
-    for (int b = 0; b < int(blocks.size()); ++b) most = max(most, Boundary<V>(x[b]).per(step[b]));
+    for (int b = 0; b < int(blocks.size()); ++b) most = max(most, Boundary(x[b]).per(step[b]));
     return largest(most);
   }
   // Smallest distance to a cone's surface.
@@ -211,7 +246,8 @@ template <class V, int B> class Cones {
   // True if all numbers are finite and below LARGEST.
   auto is_in_range(const Field& x) const {
     V total{};
-    for (int b = 0; b < int(blocks.size()); ++b) total += abs(x[b].u) + abs(x[b].o) + abs(x[b].t);
+    for (int b = 0; b < int(blocks.size()); ++b)
+      for (int a = 0; a < D; ++a) total += abs(x[b][a]);
     return sum(total) < LARGEST;
   }
   S largest_normal(const Field& x) const {  // |u|
@@ -223,14 +259,13 @@ template <class V, int B> class Cones {
   // Dual value at nu (unit frame): a lower bound of min Phi that holds for any nu; -inf: no bound.
   template <class R = NoRows>
   S lower_bound(const Six<S>& nu, const Six<S>& w, const R& rows = {}) const {
-    return bound(nu, w, rows, [&](const Vec3<V>& y, int b, V& room) {
-      return dual(y, blocks[b].weights, room);
-    });
+    return bound(nu, w, rows,
+                 [&](const X& y, int b, V& room) { return dual(y, blocks[b].weights, room); });
   }
   // The same in half the time, if x is close to the optimum.
   template <class R = NoRows> S lower_bound(const Six<S>& nu, const Six<S>& w, const Field& x,
                                             double tight, const R& rows = {}) const {
-    return bound(nu, w, rows, [&](const Vec3<V>& y, int b, V& room) {
+    return bound(nu, w, rows, [&](const X& y, int b, V& room) {
       return dual_near(y, blocks[b].weights, x[b], tight, room);
     });
   }
@@ -239,9 +274,9 @@ template <class V, int B> class Cones {
   void scale_inside(Vec6& nu) const {
     V most{};
     for (int b = 0; b < int(blocks.size()); ++b) {
-      const Vec3<V> y = blocks[b].transposed(nu);
-      most = max(most, blocks[b].mask * (y.u + sqrt(y.o * y.o + y.t * y.t)) /
-                           (3.0 * blocks[b].weights.omega));
+      const X y = blocks[b].transposed(nu);
+      most = max(most, blocks[b].mask * (y.u + tangent_length(y)) /
+                           squeezing_cost(blocks[b].weights.omega));
     }
     const double outside = largest(most);
     if (outside > INSIDE) nu = (INSIDE / outside) * nu;
@@ -251,11 +286,12 @@ template <class V, int B> class Cones {
     return residual <= balance_tolerance(size(w), largest_normal(x));
   }
   S residual(const Field& x, const Six<S>& w) const { return size(wrench(x) + w); }
-  // Write force, residual and margin of x, which certify a solution.
+  // Write force, torsion, residual and margin of x, which certify a solution.
   void certify(const Field& x, const Vec6& w, const Record& record) const {
     record.summary().residual = residual(x, w);
     record.summary().margin = margin(x);
     store_force(x, record.force());
+    store_torsion(x, record.torsion());
   }
 
  private:
@@ -273,9 +309,10 @@ template <class V, int B> class Cones {
     V total{};
     V room = all<V>(infinity);
     for (int b = 0; b < int(blocks.size()); ++b) {
-      const Vec3<V> x = at(b);
-      V term = grasp::phi(
-          x, Weights<V>{(blocks[b].weights.omega * ... * part), blocks[b].weights.lambda});
+      const X x = at(b);
+      Weights<V, D> w = blocks[b].weights;
+      w.omega = (w.omega * ... * part);
+      V term = grasp::phi(x, w);
       if constexpr (R::has_terms) term += rows.value(b, x, alpha);
       total += blocks[b].mask * term;
       room = min(room, min(x.u, lorentz(x, x)));
@@ -289,7 +326,7 @@ template <class V, int B> class Cones {
     V smallest = all<V>(infinity);
     for (int b = 0; b < int(blocks.size()); ++b) {
       V room;
-      Vec3<V> y = blocks[b].transposed(nu);
+      X y = blocks[b].transposed(nu);
       [[maybe_unused]] V more;
       if constexpr (R::has_terms) more = rows.dual(b, nu, y);
       V term = least_of(y, b, room);

@@ -1,8 +1,7 @@
-// A force inside the cones for contacts that cannot balance the wrench; any number of hard
-// contacts, even one.
+// A force inside the cones for contacts that cannot balance the wrench; any number of contacts,
+// even one.
 #pragma once
-#include <grasp/contacts/contacts.hpp>
-#include <grasp/phi/phi.hpp>
+#include <grasp/phi/cones.hpp>
 
 namespace grasp {
 
@@ -20,13 +19,13 @@ class ElasticBalance {
       : x_(count), step_(count), gradient_(count), inverse_(count), columns_(count) {}
 
   // contacts: gives cones and weights; the current places are positions (N, 3) [m] and frames (N,
-  // 3, 3) with columns (n, o, t). force: (N, 3) [N], contact frames; for the contacts that touch
-  // (bits) a guess on entry and the answer on return. Positions, frames and the wrench [N, N m]
-  // share one frame.
+  // 3, 3) with columns (n, o, t). force: (N, 3) [N], contact frames, torsion: (N,) [N m]; for the
+  // contacts that touch (bits) a guess on entry and the answer on return. Positions, frames and the
+  // wrench [N, N m] share one frame.
   void solve(const Contacts& contacts, std::uint64_t touching, const double* positions,
-             const double* frames, const Vec6& wrench, int limit, double* force) {
+             const double* frames, const Vec6& wrench, int limit, double* force, double* torsion) {
     gather(contacts, touching, positions);
-    for (int k = 0; k < count_; ++k) place(contacts, k, positions, frames, force);
+    for (int k = 0; k < count_; ++k) place(contacts, k, positions, frames, force, torsion);
     const Vec6 w = unit_.of(wrench);
     double value = merit(w, 0.0);
     for (iterations = 0; iterations < limit; ++iterations) {
@@ -41,22 +40,25 @@ class ElasticBalance {
       for (int k = 0; k < count_; ++k) x_[k] += alpha * step_[k];
       value = after;
     }
-    for (int k = 0; k < count_; ++k)
-      for (int a = 0; a < 3; ++a)
-        force[3 * index_[k] + a] = x_[k][a] / contacts.divisor[3 * index_[k] + a];
+    for (int k = 0; k < count_; ++k) {
+      const int i = index_[k];
+      for (int a = 0; a < 3; ++a) force[3 * i + a] = x_[k][a] / contacts.divisor[3 * i + a];
+      torsion[i] = x_[k].v / divisor_of(contacts.torsion_scale(i));
+    }
   }
 
  private:
+  using X = Vec<double, 4>;
   static constexpr double LONG = 0.9;        // fraction of the way to a cone's surface
   static constexpr double PRECISION = 1e-9;  // squared decrement over the value
   static constexpr double LEAST = 0.1;       // [N] smallest normal force of the guess
   static constexpr int HALVINGS = 40;
   int count_ = 0, index_[64];
   UnitFrame unit_;
-  Weights<double> weights_[64];
-  std::vector<Point> x_, step_, gradient_;    // cone coordinates
-  std::vector<Sym3<double>> inverse_;         // H^-1
-  std::vector<std::array<Vec6, 3>> columns_;  // of G, unit frame
+  Weights<double, 4> weights_[64];
+  std::vector<X> x_, step_, gradient_;        // cone coordinates
+  std::vector<Sym<double, 4>> inverse_;       // H^-1
+  std::vector<std::array<Vec6, 4>> columns_;  // of G, unit frame
 
   void gather(const Contacts& contacts, std::uint64_t touching, const double* positions) {
     count_ = 0;
@@ -65,7 +67,7 @@ class ElasticBalance {
     unit_ = UnitFrame(count_, [&](int k) { return point(positions + 3 * index_[k]); });
   }
   void place(const Contacts& contacts, int k, const double* positions, const double* frames,
-             const double* force) {
+             const double* force, const double* torsion) {
     const int i = index_[k];
     const Point arm = unit_.scale() * (point(positions + 3 * i) - unit_.centre);
     const double* f = force + 3 * i;
@@ -74,20 +76,31 @@ class ElasticBalance {
     for (int a = 0; a < 3; ++a)
       columns_[k][a] = (1.0 / contacts.divisor[3 * i + a]) *
                        unit_wrench(arm, Point{frame[a], frame[3 + a], frame[6 + a]});
-    weights_[k] = {contacts.omega[i], contacts.lambda[i]};
-    const double o = scale[1] * f[1];
-    const double t = scale[2] * f[2];
-    x_[k] = {std::max({scale[0] * f[0], 1.05 * std::sqrt(o * o + t * t), LEAST * scale[0]}), o, t};
+    const double turning = contacts.torsion_scale(i);
+    const double per = unit_.scale() / divisor_of(turning);
+    columns_[k][3] = {0.0, 0.0, 0.0, per * frame[0], per * frame[3], per * frame[6]};
+    weights_[k] = weights_of(contacts, i);
+    X x{scale[0] * f[0], scale[1] * f[1], scale[2] * f[2], turning * torsion[i]};
+    x.u = std::max({x.u, 1.05 * tangent_length(x), LEAST * scale[0]});
+    x_[k] = x;
   }
-  Vec6 wrench_of(int k, const Point& x) const {
-    return x.u * columns_[k][0] + x.o * columns_[k][1] + x.t * columns_[k][2];
+  Vec6 wrench_of(int k, const X& x) const {
+    Vec6 out{};
+    for (int a = 0; a < 4; ++a) out = out + x[a] * columns_[k][a];
+    return out;
+  }
+  // Product of the columns with nu.
+  X pulled(int k, const Vec6& nu) const {
+    X out;
+    for (int a = 0; a < 4; ++a) out[a] = dot(columns_[k][a], nu);
+    return out;
   }
 
   double merit(const Vec6& w, double alpha) const {
     double total = 0.0;
     Vec6 missed = w;
     for (int k = 0; k < count_; ++k) {
-      const Point x = x_[k] + alpha * step_[k];
+      const X x = x_[k] + alpha * step_[k];
       if (alpha > 0.0 && !(x.u > 0.0 && lorentz(x, x) > 0.0)) return infinity;
       total += phi(x, weights_[k]);
       missed = missed + wrench_of(k, x);
@@ -97,7 +110,7 @@ class ElasticBalance {
   // 1 / (largest step inside the cones)
   double reach() const {
     double most = 1e-300;
-    for (int k = 0; k < count_; ++k) most = std::max(most, Boundary<double>(x_[k]).per(step_[k]));
+    for (int k = 0; k < count_; ++k) most = std::max(most, Boundary(x_[k]).per(step_[k]));
     return most;
   }
   // Compute the Newton step; return its squared decrement.
@@ -111,9 +124,8 @@ class ElasticBalance {
       missed = missed + wrench_of(k, x_[k]);
       pull = pull + wrench_of(k, inverse_[k] * gradient_[k]);
       for (int r = 0; r < 6; ++r) {
-        const Point h =
-            inverse_[k] * Point{columns_[k][0][r], columns_[k][1][r], columns_[k][2][r]};
-        const Vec6 row = wrench_of(k, h);
+        const auto& c = columns_[k];
+        const Vec6 row = wrench_of(k, inverse_[k] * X{c[0][r], c[1][r], c[2][r], c[3][r]});
         for (int q = 0; q <= r; ++q) schur[packed(r, q)] += row[q];
       }
     }
@@ -122,13 +134,9 @@ class ElasticBalance {
     const Vec6 nu = factor.solve(pull - missed);
     double decrement = 0.0;
     for (int k = 0; k < count_; ++k) {
-      const Point turned{dot(columns_[k][0], nu), dot(columns_[k][1], nu), dot(columns_[k][2], nu)};
-      step_[k] = inverse_[k] * (turned - gradient_[k]);
+      step_[k] = inverse_[k] * (pulled(k, nu) - gradient_[k]);
       // gradient of the merit: grad Phi + G^T (G x + w) / SOFTNESS
-      const Point push =
-          (1.0 / SOFTNESS) * Point{dot(columns_[k][0], missed), dot(columns_[k][1], missed),
-                                   dot(columns_[k][2], missed)};
-      decrement -= dot(step_[k], gradient_[k] + push);
+      decrement -= dot(step_[k], gradient_[k] + pulled(k, (1.0 / SOFTNESS) * missed));
     }
     return decrement;
   }

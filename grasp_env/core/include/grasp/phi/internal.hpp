@@ -7,7 +7,7 @@ namespace grasp {
 
 // Largest k at which point + k ray crosses the cone or its opposite, for a ray inside one of the
 // two.
-template <class T> inline T crossing(const Vec3<T>& point, const Vec3<T>& ray) {
+template <class T, int D> inline T crossing(const Vec<T, D>& point, const Vec<T, D>& ray) {
   const T a = lorentz(ray, ray);
   const T b = lorentz(point, ray);
   const T c = lorentz(point, point);
@@ -65,13 +65,15 @@ template <class V, int B> inline Interval inside(const Cones<V, B>& cones,
 }
 
 // k > 0 that minimises Phi(k x) = k a + b / k, for x strictly inside.
-template <class V, int B>
-Reduced<V> best_scale(const Cones<V, B>& cones, const typename Cones<V, B>::Field& x) {
+template <class V, int B, int D>
+Reduced<V> best_scale(const Cones<V, B, D>& cones, const Blocks<Vec<V, D>, B>& x) {
   V force{}, barrier{};
   for (int b = 0; b < int(x.size()); ++b) {
     const auto& c = cones.blocks[b];
-    force += c.mask * phi(x[b], {c.weights.omega, V{}});
-    barrier += c.mask * phi(x[b], {V{}, c.weights.lambda});
+    Weights<V, D> without_force = c.weights;
+    without_force.omega = V{};
+    force += c.mask * squeezing_cost(c.weights.omega) * x[b].u;
+    barrier += c.mask * phi(x[b], without_force);
   }
   return sqrt(sum(barrier) / sum(force));
 }
@@ -79,9 +81,9 @@ Reduced<V> best_scale(const Cones<V, B>& cones, const typename Cones<V, B>::Fiel
 // Write the start for a wrench w (unit frame) into x: the least-norm force plus a multiple of
 // `rest`, an internal force strictly inside: 1.1 times what brings it inside plus a half, and at
 // least once.
-template <class V, int B> void begin(const Cones<V, B>& cones,
-                                     const typename Cones<V, B>::Field& rest,
-                                     const Six<Reduced<V>>& w, typename Cones<V, B>::Field& x) {
+template <class V, int B, int D>
+void begin(const Cones<V, B, D>& cones, const typename Cones<V, B, D>::Field& rest,
+           const Six<Reduced<V>>& w, typename Cones<V, B, D>::Field& x) {
   using S = Reduced<V>;
   V needed{};
   for (int b = 0; b < int(x.size()); ++b) {
@@ -108,12 +110,12 @@ inline constexpr int
 // Find an internal force strictly inside the cones and store it in `rest`. Infeasible-start Newton
 // from the axes, with at most `most` steps. Return true if one was found. find(missed): computes
 // the step at x and the residual of balance; returns false if there is no step.
-template <class V, int B, class Field, class F>
-auto balance_inside(const Cones<V, B>& cones, Field& x, const Field& step, Field& rest, int most,
+template <class V, int B, int D, class Field, class F>
+auto balance_inside(const Cones<V, B, D>& cones, Field& x, const Field& step, Field& rest, int most,
                     F&& find) {
   using S = Reduced<V>;
   for (int b = 0; b < int(x.size()); ++b)
-    x[b] = {sqrt(cones.blocks[b].weights.lambda / cones.blocks[b].weights.omega), V{}, V{}};
+    x[b] = axis<D>(sqrt(cones.blocks[b].weights.lambda / cones.blocks[b].weights.omega));
   auto open = S(0.0) == S(0.0);
   auto done = S(0.0) != S(0.0);
   for (int iteration = 0; iteration < most; ++iteration) {

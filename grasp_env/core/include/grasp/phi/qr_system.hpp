@@ -12,11 +12,11 @@ namespace grasp {
 //
 // The squeezing cost is linear, so H is the barrier's alone. With a barrier t times as strong
 // the step is centring + part * descent, part = 1 / t, from the same factorisation.
-template <class V, int B> class QrSystem {
+template <class V, int B, int D = 3> class QrSystem {
  public:
-  using Field = typename Cones<V, B>::Field;
+  using Field = typename Cones<V, B, D>::Field;
 
-  explicit QrSystem(const Cones<V, B>& cones)
+  explicit QrSystem(const Cones<V, B, D>& cones)
       : qr_(int(cones.blocks.size())),
         descent_(qr_.rows()),
         centring_(qr_.rows()),
@@ -26,14 +26,14 @@ template <class V, int B> class QrSystem {
 
   // Both directions at x with the balance residual `left`. Return false if G M does not have rank 6
   // in floating point.
-  bool assemble(const Cones<V, B>& cones, const Field& x, const Vec6& left, Field& descent,
+  bool assemble(const Cones<V, B, D>& cones, const Field& x, const Vec6& left, Field& descent,
                 Field& centring) {
     for (int b = 0; b < int(cones.blocks.size()); ++b) {
       const auto& c = cones.blocks[b];
-      const Axes<V>& a = axes_[b] = Axes<V>(x[b], c.weights);
-      const V squeeze[3] = {c.mask * a.squeeze.along, c.mask * a.squeeze.inward, V{}};
-      const V barrier[3] = {c.mask * a.barrier.along, c.mask * a.barrier.inward, V{}};
-      for (int k = 0; k < 3; ++k) {
+      const Axes<V, D>& a = axes_[b] = Axes<V, D>(x[b], c.weights);
+      const V squeeze[D] = {c.mask * a.squeeze.along, c.mask * a.squeeze.inward};
+      const V barrier[D] = {c.mask * a.barrier.along, c.mask * a.barrier.inward};
+      for (int k = 0; k < D; ++k) {
         for (int r = 0; r < 6; ++r) qr_.set(b, k, r, dot(c.g[r], a[k]));
         qr_.put(descent_, b, k, -squeeze[k]);
         qr_.put(centring_, b, k, -barrier[k]);
@@ -49,7 +49,7 @@ template <class V, int B> class QrSystem {
       rest_ += centring_[i] * centring_[i];
     }
     nu_centring_ = nu_centring_ + qr_.least(-1.0 * left, change_);
-    for (int b = 0; b < int(descent.size()); ++b) descent[b] = centring[b] = {V{}, V{}, V{}};
+    for (int b = 0; b < int(descent.size()); ++b) descent[b] = centring[b] = Vec<V, D>{};
     add(descent_, descent);
     add(centring_, centring);
     add(change_, centring);
@@ -69,15 +69,15 @@ template <class V, int B> class QrSystem {
   }
 
  private:
-  LaneQr6<V> qr_;
-  Blocks<Axes<V>, B> axes_;
+  LaneQr6<V, D> qr_;
+  Blocks<Axes<V, D>, B> axes_;
   std::vector<double> descent_, centring_, change_;  // z
   Vec6 nu_descent_{}, nu_centring_{};
   double square_ = 0.0, slope_ = 0.0, rest_ = 0.0;  // |descent|^2, descent . centring, |centring|^2
 
   void add(const std::vector<double>& z, Field& step) const {
     for (int b = 0; b < int(step.size()); ++b)
-      for (int k = 0; k < 3; ++k) step[b] += qr_.get(z, b, k) * axes_[b][k];
+      for (int k = 0; k < D; ++k) step[b] += qr_.get(z, b, k) * axes_[b][k];
   }
 };
 
