@@ -13,19 +13,20 @@ from benchmarks.benchmark import Benchmark, tick
 from benchmarks.force.package import grasp_of
 from benchmarks.force.problems import Problem, load
 from benchmarks.problem import compiled_times
-from grasp_env.errors import NotConvergedError
+from grasp_env.errors import InfeasibleWrenchError, NotConvergedError
 from grasp_env.force import ForceLimits, ForceOptimizer, optimize_forces
 from grasp_env.force.record import CODE, CONVERGED, INFEASIBLE, LIMITS_EXCEEDED
 from grasp_env.grasp import Grasp, presets
 from grasp_env.grasp.wrench import sample_ball
 from grasp_env.inputs.arguments import Array
+from grasp_env.quality import payload
 from training.data.grasps import BENCH
 from training.evaluation.results.table import pd, table
 
 ALGORITHMS = {
     "newton/newton": "Newton on Phi: four contacts stay in registers",
     "newton/limited": "Newton with limits of single contacts: rank-one terms of their blocks",
-    "newton/soft": "Newton with torsion, which each contact eliminates",
+    "newton/soft": "Newton with torsion, the fourth variable of a contact",
     "newton/excess": "elastic: the force that exceeds the limits least",
     "general/phi_rows": "Newton with rows that couple contacts",
     "many/problems": "Newton on several wrenches at once, one in each vector lane",
@@ -34,6 +35,7 @@ ALGORITHMS = {
     "flow/flow": "the paper's gradient flow, reduced and full",
     "conic/conic": "interior point for the least sum of normal forces",
     "general/interior_point": "interior point for any contacts and limits, and after others give up",
+    "general/payload": "interior point for the largest load along a direction, called from Python",
 }
 """Folder of each algorithm and the reason why it exists."""
 TOLERANCE = 1e-6
@@ -107,6 +109,12 @@ def measured(settings: AlgorithmSettings) -> Iterator[tuple[str, str, Array]]:
     yield "general/interior_point", "each joint moves one finger", hand("own", "conic")
     yield "general/interior_point", "joints shared by fingers", hand("shared", "conic")
     yield "general/interior_point", "soft", timed(soft, method="conic")
+    motors = ForceLimits(jacobian=jacobian(rng, 4, 12), torque_limit=np.inf)
+    torque = timed(hard, method="conic", criterion="torque", limits=motors)
+    yield "general/interior_point", "least norm of 12 joint torques", torque
+    directions = loads[: max(1, len(loads) // 10)]
+    yield "general/payload", "normal forces limited", payloads(hard, directions, bounds)
+    yield "general/payload", "the same by bisection", bisections(hard, directions, bounds)
     excess = timed(hard, heavy, LIMITS_EXCEEDED, limits=tight, elastic=True)
     proof = timed(hard, heavy, INFEASIBLE, limits=tight)
     yield "newton/excess", "limits that no force meets, elastic", excess
@@ -121,6 +129,54 @@ def measured(settings: AlgorithmSettings) -> Iterator[tuple[str, str, Array]]:
     yield "layer/smooth", "batch, forward", layer(settings, hard, loads, None)
     yield "layer/smooth", "batch, forward and backward", layer(settings, hard, loads, None, True)
     yield "layer/smooth", "limits that no force meets, elastic", layer(settings, hard, heavy, 1.0)
+
+
+def jacobian(rng: np.random.Generator, contacts: int, joints: int) -> Array:
+    """Return a Jacobian (N, 3, J) with levers of about 50 mm [m]."""
+    return 0.05 * rng.standard_normal((contacts, 3, joints))
+
+
+def payloads(grasp: Grasp, directions: Array, limits: ForceLimits) -> Array:
+    """Return seconds of `payload` for each direction (K, 6)."""
+    return clocked(directions, lambda d: payload(grasp, d, limits))
+
+
+def bisections(grasp: Grasp, directions: Array, limits: ForceLimits) -> Array:
+    """Return seconds of the largest load by bisection for each direction (K, 6)."""
+    solver = ForceOptimizer(grasp, initial="previous", limits=limits)
+    return clocked(directions, lambda d: bisection(solver, d))
+
+
+def bisection(solver: ForceOptimizer, direction: Array, tolerance: float = TOLERANCE) -> float:
+    """Return the largest load along a direction, by solves that start from the last one."""
+
+    def holds(load: float) -> bool:
+        try:
+            solver.solve(load * direction)
+        except InfeasibleWrenchError:
+            return False
+        return True
+
+    low, high = 0.0, 1.0
+    while holds(high):
+        low, high = high, 2.0 * high
+    while high - low > tolerance * high:
+        middle = 0.5 * (low + high)
+        if holds(middle):
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+def clocked(arguments: Array, call: Callable[[Array], Any]) -> Array:
+    """Return the seconds of a call with each argument."""
+    times = np.empty(len(arguments))
+    for k, argument in enumerate(arguments):
+        begin = time.perf_counter()
+        call(argument)
+        times[k] = time.perf_counter() - begin
+    return times
 
 
 def four_contacts(track: str) -> Iterator[Problem]:
