@@ -69,7 +69,8 @@ class Measure:
         problem: the problem.
         matrix: (6, N, k), zero where a contact does not touch.
         load: (6,) the wrench.
-        friction, spin: (N,) shares of Coulomb coefficients and torsional friction [m] that count.
+        friction, spin: (N,) shares of Coulomb coefficients and torsional friction [m] that count;
+            spin is 0 where a contact transmits no torsion.
         preload: (N,) normal forces that do not count for friction [N].
         rows, bound, size: (L, N, k), (L,), (L,) the limits.
         touching: (N,).
@@ -165,15 +166,25 @@ class Measure:
         """Return B f - b (L,) [N, N m]."""
         return (self.rows.reshape(len(self.bound), len(force)) * force).sum(axis=1) - self.bound
 
+    def sideways(self, f: Numbers) -> Numbers:
+        """Return what friction has to hold of forces (N, k), (N,) [N].
+
+        It is sqrt(o^2 + t^2 + (friction torsion / torsional_friction)^2), without torsion that a
+        contact cannot transmit.
+        """
+        square = f[:, 1] ** 2 + f[:, 2] ** 2
+        if f.shape[1] == 4:
+            spins = self.spin > 0
+            turning = self.friction * f[:, 3] / np.where(spins, self.spin, 1)
+            square = square + np.where(spins, turning, 0) ** 2
+        return np.sqrt(square)
+
     def inside(self, force: Numbers) -> Numbers:
         """Raise normal forces into the cones and drop components that a contact cannot transmit."""
         f = force.reshape(len(self.friction), -1) * self.touching[:, None]
-        s = np.sqrt(f[:, 1] ** 2 + f[:, 2] ** 2)
-        f[:, 0] = np.maximum(f[:, 0], self.preload + s / self.friction)
         if f.shape[1] == 4:
             f[:, 3] *= self.spin > 0
-            turning = np.abs(f[:, 3]) / np.where(self.spin > 0, self.spin, 1)
-            f[:, 0] = np.maximum(f[:, 0], self.preload + turning)
+        f[:, 0] = np.maximum(f[:, 0], self.preload + self.sideways(f) / self.friction)
         return f.reshape(-1)
 
     def upper(self, name: str, force: Numbers, multipliers: Numbers) -> Any:
@@ -188,42 +199,43 @@ class Measure:
         limits = (np.abs(multipliers[6:]) * np.maximum(self.over(f), 0)).sum()
         return self.objective(name, f) + balance + limits
 
-    def pull(self, twist: Numbers, p: Numbers) -> tuple[Numbers, Numbers, Numbers]:
-        """Return G^T v - B^T p along the normal, tangential, and the least cost that outweighs both.
+    def pull(self, twist: Numbers, p: Numbers) -> tuple[Numbers, Numbers]:
+        """Return what G^T v - B^T p gains for a newton of normal force, along and across the normal.
 
-        Each is (N,); the cost is that of a newton of normal force.
+        With g = G^T v - B^T p these are g_n and sqrt((friction g_o)^2 + (friction g_t)^2 +
+        (torsional_friction g_tau)^2), (N,) each. A force in the cone gains at most their sum times
+        its normal force.
         """
         g = np.einsum("rnk,r->nk", self.matrix, twist) - np.einsum("lnk,l->nk", self.rows, p)
-        sideways = np.sqrt(g[:, 1] ** 2 + g[:, 2] ** 2)
-        spin = self.spin * np.abs(g[:, 3]) if g.shape[1] == 4 else 0 * sideways
-        return g[:, 0], sideways, g[:, 0] + self.friction * sideways + spin
+        square = (self.friction * g[:, 1]) ** 2 + (self.friction * g[:, 2]) ** 2
+        if g.shape[1] == 4:
+            square = square + (self.spin * g[:, 3]) ** 2
+        return g[:, 0], np.sqrt(square)
 
     def lower(self, name: str, multipliers: Numbers) -> Any:
         """Return a lower bound of the optimum from any multipliers (6 + L,).
 
         It is the least of the Lagrangian over the cones. With a = cost - G^T nu + B^T p, the
         Lagrangian is a . f - nu . w - p . b plus the barrier of `phi`. It has a least value where
-        a_n >= friction hypot(a_o, a_t) + torsional_friction abs(a_tau) at every contact: the
-        multipliers are multiplied by the largest theta <= 1 for which that holds. The cost of a
-        newton of normal force is 1, or 3 friction for `phi`, whose barrier adds its least value
-        (`least`). The cones begin at the preload s, which adds a . s, or for `phi`, which has no
-        cost of s, -(G^T nu - B^T p) . s.
+        a_n >= sqrt((friction a_o)^2 + (friction a_t)^2 + (torsional_friction a_tau)^2) at every
+        contact: the multipliers are multiplied by the largest theta <= 1 for which that holds. The
+        cost of a newton of normal force is 1, or 3 friction for `phi`, whose barrier adds its least
+        value (`least`). The cones begin at the preload s, which adds a . s, or for `phi`, which has
+        no cost of s, -(G^T nu - B^T p) . s.
         """
         twist = self.twist(multipliers[:6])
         p = np.maximum(multipliers[6:], 0)
         cost = self.cost(name)
-        along, sideways, need = self.pull(twist, p)
-        most = (need / cost)[self.touching].max()
+        along, across = self.pull(twist, p)
+        most = ((along + across) / cost)[self.touching].max()
         theta = 1 / most if most > 1 else most * 0 + 1
         work = twist @ self.load + (p * self.bound).sum() + along @ self.preload
         bound = -(theta * work)
         if name == "sum":
             bound += self.preload.sum()
         else:
-            mu = self.friction
-            low = (cost - theta * need) / mu
-            high = (cost - theta * along) / mu + theta * sideways
-            low = np.maximum(low, 0)
+            low = np.maximum(cost - theta * (along + across), 0) / self.friction
+            high = (cost - theta * (along - across)) / self.friction
             bound += least(low[self.touching], high[self.touching], self.weight)[0].sum()
         return bound
 
@@ -239,20 +251,17 @@ class Measure:
     def violation(self, force: Array) -> float:
         """Return the distance of a force (N k,) from the cones over the largest |normal force|.
 
-        It is the largest of hypot(o, t) - friction * inner, -inner, and abs(torsion) /
-        torsional_friction - inner over contacts that touch, and of |components| of the others,
-        where inner is normal - preload. Torsion that a contact cannot transmit is divided by the
-        length.
+        It is the largest of sqrt(o^2 + t^2 + (friction torsion / torsional_friction)^2) - friction
+        * inner and -inner over contacts that touch, and of |components| of the others, where inner
+        is normal - preload. Torsion that a contact cannot transmit counts, divided by the length.
         """
         f = self._in_newtons(force)
         normal = f[:, 0]
         inner = normal - self.preload
-        outside = np.maximum(np.hypot(f[:, 1], f[:, 2]) - self.friction * inner, -inner)
+        sideways = self.sideways(np.reshape(force, f.shape))
+        outside = np.maximum(sideways - self.friction * inner, -inner)
         if f.shape[1] == 4:
-            spins = self.spin > 0.0
-            torsion = np.abs(f[:, 3])
-            lever = np.where(spins, self.spin, 1.0) / self.length
-            outside = np.maximum(outside, np.where(spins, torsion / lever - inner, torsion))
+            outside = np.maximum(outside, np.where(self.spin > 0.0, 0.0, np.abs(f[:, 3])))
         outside = np.where(self.touching, outside, np.abs(f).max(axis=1))
         return _relative(max(outside.max(), 0.0), np.abs(normal).max())
 
@@ -282,8 +291,8 @@ class Measure:
         sizes = (1.0 + self.friction + self.spin / self.length) * (
             length + np.einsum("lnk,l->n", np.abs(self.rows), p)
         )
-        along, _, need = self.pull(-twist, p)
-        gained = np.maximum(need + ROUNDING * sizes, 0.0) * self.touching
+        along, across = self.pull(-twist, p)
+        gained = np.maximum(along + across + ROUNDING * sizes, 0.0) * self.touching
         least = self.problem.min_normal
         most = self.problem.max_normal
         most = np.full(len(gained), np.inf) if most is None else most

@@ -16,7 +16,7 @@ typedef struct {
   const double* frames;                     /* (N, 3, 3), columns n, o, t */
   const double* normals;                    /* (N, 3) */
   const double* friction;                   /* (N,) */
-  const double* torsional_friction;         /* (N,) */
+  const double* torsional_friction;         /* (N,) m; 0: no torsion */
   const double *min_normal, *max_normal;    /* (N,) */
   const double* jacobian;                   /* (N, 6, J) */
   const double *torque_limit, *torque_bias; /* (J,) */

@@ -3,11 +3,12 @@
 Balance a wrench w with the forces of N contacts, f = (normal, o, t[, torsion]) of each in its own
 frame:
 
-    G f + w = 0,   hypot(o, t) <= friction * inner,   abs(torsion) <= torsional_friction * inner,
-    B f <= b
+    G f + w = 0,   sqrt((o / friction)^2 + (t / friction)^2 + (torsion / torsional_friction)^2) <=
+    inner,   B f <= b
 
-inner is normal. With a margin it is normal - preload, and both frictions are multiplied by
-friction_margin.
+inner is normal, and with a margin friction_margin * (normal - preload). Friction and torsion of a
+soft contact share one cone (Howe and Cutkosky 1996). A torsional friction of 0 is a hard contact,
+which transmits no torsion.
 
 Objectives: `sum` is the sum of the normal forces [N]. `phi` is the paper's, sum_i 3 u + lambda (1 /
 u + 2 u / (u^2 - o^2 - t^2)) with u = friction * inner and lambda = `BARRIER_WEIGHT`; it is defined
@@ -33,7 +34,10 @@ from grasp_env.inputs.files import digest, parsed, read_json, replacing, unpacke
 
 Array = NDArray[np.float64]
 
-SCHEMA = 1
+SCHEMA = 2
+"""Version of the files and of what their arrays mean. In 1, friction and torsion had bounds apart."""
+MEANINGS = {"torsional_friction": ", in one cone with friction"}
+"""Meanings of arrays that are part of their hash: the same numbers were other problems in schema 1."""
 BARRIER_WEIGHT = 0.01
 """lambda of `phi` [N^2]."""
 OBJECTIVES = ("sum", "phi")
@@ -47,7 +51,7 @@ FIELDS = {
     "friction": "(M, N) Coulomb coefficients",
     "wrench": "(M, 6) N and N m about the origin, external wrench on the object",
     "touching": "(M, N) which contacts touch; the force of the others is zero",
-    "torsional_friction": "(M, N) m, abs(torsion) <= torsional_friction * normal; without it contacts transmit no torsion",
+    "torsional_friction": "(M, N) m, (hypot(o, t) / friction)^2 + (torsion / torsional_friction)^2 <= normal^2; 0, or without it: no torsion",
     "min_normal": "(M, N) N",
     "max_normal": "(M, N) N, inf: no limit",
     "jacobian": "(M, N, 6, J) joint speeds -> velocity of the contact point and angular velocity of the fingertip",
@@ -58,7 +62,7 @@ FIELDS = {
 that do not change have a first dimension of 1."""
 MARGIN_FIELDS = {
     "friction_margin": "(M,) share of both frictions that forces may use",
-    "preload": "(M, N) N, hypot(o, t) <= friction_margin * friction * (normal - preload), torsion likewise",
+    "preload": "(M, N) N, in the cones friction_margin * (normal - preload) stands for normal",
 }
 """Further arrays of a session whose forces keep a margin."""
 
@@ -128,6 +132,12 @@ class Problem:
     def width(self) -> int:
         """k: 4 with torsion, else 3."""
         return 3 if self.torsional_friction is None else 4
+
+    @property
+    def lever(self) -> Array:
+        """(N,) torsional_friction / friction [m]: in the cone torsion / lever is a tangential force."""
+        gamma = self.torsional_friction
+        return np.zeros(self.n_contacts) if gamma is None else gamma / self.friction
 
     @property
     def active(self) -> NDArray[np.bool_]:
@@ -300,12 +310,13 @@ class Track:
         return sum(len(session.problems) for session in self.sessions)
 
     def digest(self) -> str:
-        """Return the SHA-256 of the problems: name, type, shape and bytes of every array."""
+        """Return the SHA-256 of the problems: name, meaning, type, shape and bytes of every array."""
         blobs = []
         for session in self.sessions:
             for name in sorted(session.arrays):
                 array = np.ascontiguousarray(session.arrays[name])
-                header = f"{session.name}/{name} {array.dtype.str} {array.shape}\n"
+                named = f"{session.name}/{name}{MEANINGS.get(name, '')}"
+                header = f"{named} {array.dtype.str} {array.shape}\n"
                 blobs += [header.encode(), array.tobytes()]
         return digest(*blobs)
 

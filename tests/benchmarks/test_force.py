@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from mpmath import mp
-from oracles import margin
+from oracles import margin, pinch
 from oracles.phi import phi
 
 from benchmarks.force import check, generate, problems, references
@@ -41,6 +41,7 @@ BEST = OPTIMUM.objective
 PRELOAD = np.array([0.0, 1.0, 0.5, 2.0])
 KEPT = {"friction_margin": np.array(0.7), "preload": PRELOAD}
 NARROW = made(**KEPT)
+SOFT = made(torsional_friction=np.array([0.01, 0.004, 0.0, 0.006]))
 ONE_SIDE = np.tile(np.array(presets.paper_cuboid().frames)[0], (4, 1, 1))
 """Four fingers that push the same way: they cannot push back."""
 PULLED = made([0.0, 0.0, 1.0, 0.0, 0.0, 0.0], frames=ONE_SIDE)
@@ -66,7 +67,7 @@ def test_a_file_is_made_by_its_seed_and_its_references_hold(name):
 def test_the_first_tracks_keep_their_bytes(tmp_path):
     """Times of earlier runs stay comparable, and a description that is written again is the same."""
     files = [SETS / f"{name}{kind}" for name in TRACKS[:12] for kind in (".json", ".npz")]
-    assert digest(*(path.read_bytes() for path in files)).startswith("09dfe7c29df8c5c0")
+    assert digest(*(path.read_bytes() for path in files)).startswith("e998b0895bc88b00")
     problems.save(load("soft"), tmp_path)
     assert (tmp_path / "soft.json").read_bytes() == (SETS / "soft.json").read_bytes()
 
@@ -82,7 +83,8 @@ def test_sessions_of_one_description_are_told_apart(tmp_path):
     ("change", "words"),
     [
         ({"sha256": "0" * 64}, r"does not hold the problems of soft\.json"),
-        ({"schema": 9}, "file has schema 9; this version reads schema 1; make it again"),
+        ({"schema": 9}, "file has schema 9; this version reads schema 2; make it again"),
+        ({"schema": 1}, "file has schema 1; this version reads schema 2; make it again"),
         ({"modes": ["hot"]}, r"its modes are \['hot'\], known are cold, persistent, warm"),
         (None, r"soft\.json lacks modes, objectives, sessions, sha256"),
     ],
@@ -91,7 +93,7 @@ def test_a_changed_file_is_refused(change, words, tmp_path):
     problems.save(load("soft"), tmp_path)
     about = json.loads((tmp_path / "soft.json").read_text())
     (tmp_path / "soft.json").write_text(
-        json.dumps({"schema": 1} if change is None else about | change)
+        json.dumps({"schema": 2} if change is None else about | change)
     )
     with pytest.raises(ValueError, match=words):
         load("soft", tmp_path)
@@ -293,9 +295,12 @@ def test_scores_by_hand():
     slid[1] += 2.0 * PROBLEM.friction[0] * FORCE[0]
     assert score(PROBLEM, "sum", BEST, parts_of(PROBLEM, slid))["violation"] > 0.1
     soft = made(torsional_friction=np.full(4, 0.01))
-    # three times what it transmits
+    # three times what it transmits beside no tangential force
     turned = np.column_stack([FORCE.reshape(4, 3), [0.0, 0.0, 0.0, -0.03 * FORCE[9]]])
-    assert Measure.of(soft).violation(turned) == pytest.approx(2.0 * FORCE[9] / FORCE[::3].max())
+    mu, gamma = np.repeat(soft.friction[:, None], 2, axis=1), soft.torsional_friction
+    missed = -margin.cone_margin(turned, mu, gamma, 1.0, np.zeros(4))
+    assert missed > 2.0 * mu[3, 0] * FORCE[9]
+    assert Measure.of(soft).violation(turned) == pytest.approx(missed / FORCE[::3].max())
     held = made(max_normal=np.full(4, 2.0))
     over = score(held, "sum", BEST, parts_of(held, FORCE))["limit_excess"]
     assert over == pytest.approx(FORCE[::3].max() / 2.0 - 1.0)
@@ -327,15 +332,81 @@ def test_a_force_is_judged_within_the_margin():
     assert not any(outer[what] for what in ("proved", "solved_coarse"))
     mu = np.repeat(NARROW.friction[:, None], 2, axis=1)
     spinless = np.column_stack([OPTIMUM.force, np.zeros(4)])
-    missed = max(-margin.cone_margin(spinless, mu, 0.7, PRELOAD), (PRELOAD - FORCE[::3]).max())
+    missed = -margin.cone_margin(spinless, mu, np.zeros(4), 0.7, PRELOAD)
+    missed = max(missed, (PRELOAD - FORCE[::3]).max())
     assert outer["violation"] == pytest.approx(missed / FORCE[::3].max(), rel=1e-9)
     soft = Measure.of(made(torsional_friction=np.full(4, 0.01), **KEPT))
     force = np.tile([10.0, 0.0, 0.0, 0.0], (4, 1))
     force[2, 3] = 3.0 * 0.7 * 0.01 * 9.5  # three times what the contact transmits
-    assert soft.violation(force) == pytest.approx(2.0 * 9.5 / 10.0)
+    assert soft.violation(force) == pytest.approx(2.0 * 0.7 * NARROW.friction[2] * 9.5 / 10.0)
     # a contact that does not touch has no preload
     lost = made(touching=np.array([True, True, True, False]), **KEPT)
     assert lost.shift.tolist() == [0.0, 1.0, 0.5, 0.0]
+
+
+PINCH = {
+    "positions": pinch.POSITIONS,
+    "frames": pinch.FRAMES,
+    "friction": np.full(2, pinch.MU),
+    "torsional_friction": np.full(2, pinch.GAMMA),
+}
+HELD = 3.0, 0.08
+"""Force [N] and moment [N m] that the pinch holds with 5 N each, and with 4 N if its bounds of
+friction and torsion were apart."""
+
+
+@pytest.mark.parametrize("margin_of_it", [{}, {"friction_margin": 0.8, "preload": 1.5}])
+def test_friction_and_torsion_share_a_cone(margin_of_it):
+    """Scores, bounds and the reference of a pinch whose optimum is known."""
+    arrays = {name: np.array(value) for name, value in margin_of_it.items()}
+    if arrays:
+        arrays["preload"] = arrays["preload"].repeat(2)
+    problem = Problem(**PINCH, **arrays, wrench=pinch.wrench(*HELD))
+    measure = Measure.of(problem)
+    share, preload = margin_of_it.get("friction_margin", 1.0), margin_of_it.get("preload", 0.0)
+    normal = pinch.least_normal(*HELD, share, preload)
+    slope = pinch.multipliers(*HELD) / share
+    right = pinch.forces(normal, *HELD).ravel()
+    row = score(problem, "sum", 2.0 * normal, parts_of(problem, (right, slope)))
+    assert row["solved"]
+    assert row["proved"]
+    assert max(row[name] for name in ("gap", "balance", "violation")) < 1e-15
+    assert measure.lower("sum", slope) == pytest.approx(2.0 * normal, rel=1e-14)
+    assert measure.upper("sum", right, slope) == pytest.approx(2.0 * normal, rel=1e-14)
+    # the optimum of bounds apart is outside the cone, and raised into it by the bound
+    corner = pinch.least_normal_apart(*HELD) / share + preload
+    wrong = pinch.forces(corner, *HELD).ravel()
+    row = score(problem, "sum", 2.0 * corner, parts_of(problem, (wrong, slope)))
+    assert not row["solved_coarse"]
+    assert row["violation"] == pytest.approx(pinch.MU * share * (normal - corner) / corner)
+    np.testing.assert_allclose(measure.inside(wrong), right, rtol=1e-14)
+    best = references.package(problem, "sum")
+    assert best.gap < 1e-9
+    assert best.value == pytest.approx(2.0 * normal, rel=1e-9)
+
+
+def test_a_witness_needs_the_cone_of_both():
+    """What two contacts of at most 4.9 N cannot hold, although they could with bounds apart."""
+    witness = np.concatenate([-pinch.multipliers(*HELD), np.ones(2)])
+    for most, proves in ((4.9, True), (5.1, False)):
+        problem = Problem(**PINCH, wrench=pinch.wrench(*HELD), max_normal=np.full(2, most))
+        assert (Measure.of(problem).witness(witness) > 0.0) == proves
+        assert (references.package(problem, "sum").lower == np.inf) == proves
+
+
+def test_a_contact_without_torsional_friction_is_hard():
+    problem = Problem(
+        **PINCH | {"torsional_friction": np.array([pinch.GAMMA, 0.0])}, wrench=pinch.wrench(*HELD)
+    )
+    measure = Measure.of(problem)
+    force = pinch.forces(6.0, *HELD)
+    assert measure.violation(force.ravel()) == pytest.approx(0.04 / measure.length / 6.0)
+    assert measure.inside(force.ravel()).reshape(2, 4)[:, 3].tolist() == [-0.04, 0.0]
+    force[1, 3] = 0.0
+    assert measure.violation(force.ravel()) == 0.0
+    assert references.package(problem, "sum").value == pytest.approx(
+        np.hypot(1.5 / pinch.MU, 0.08 / pinch.GAMMA) * 2.0, rel=1e-9
+    )
 
 
 def test_a_shifted_problem_has_the_optimum_of_the_margin():
@@ -431,21 +502,25 @@ def test_no_witness_against_a_feasible_wrench():
         -OPTIMUM.multipliers,
     ]
     for scale in (1e-6, 1.0, 1e6):
-        for margins in ({}, KEPT):
+        for margins in ({}, KEPT, {"torsional_friction": np.full(4, 0.01)}):
             measure = Measure.of(made(scale * WRENCH, **margins))
             assert max(measure.witness(twist) for twist in twists) <= 0.0
 
 
-@pytest.mark.parametrize("problem", [PROBLEM, NARROW])
+@pytest.mark.parametrize("problem", [PROBLEM, NARROW, SOFT])
 def test_bounds_bracket_every_balanced_force(problem):
     rng = np.random.default_rng(0)
     measure = Measure.of(problem)
-    null = np.linalg.svd(PROBLEM.matrix)[2][6:]
+    scale = np.ones((4, problem.width))
+    scale[:, 3:] = problem.lever[:, None]  # torsions are small, or none
+    scale = scale.ravel()
+    null = np.linalg.svd(problem.matrix * scale)[2][6:] * scale
     middle = ForceOptimizer(
-        presets.paper_cuboid(), barrier_weight=1.0, margin=margin_of(problem)
+        grasp_of(problem)[0], barrier_weight=10.0, margin=margin_of(problem)
     ).solve(WRENCH)
-    for objective in ("sum", "phi"):
-        forces = [middle.force.ravel() + null.T @ rng.standard_normal(6) for _ in range(400)]
+    inner = np.column_stack([middle.force, middle.torsion])[:, : problem.width].ravel()
+    for objective in ("sum", "phi") if problem.width == 3 else ("sum",):
+        forces = [inner + null.T @ rng.standard_normal(len(null)) for _ in range(400)]
         values = [measure.objective(objective, f) for f in forces if measure.violation(f) <= 0.0]
         assert len(values) > 20
         best = references.package(problem, objective)

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from oracles import pinch
+from scipy.spatial import ConvexHull
 
 from benchmarks.force import build, problems, report, run
 from benchmarks.force.__main__ import main
@@ -19,6 +21,7 @@ from benchmarks.force.entrants import ENTRANTS, qocogen
 from benchmarks.force.entrants.clarabel import Clarabel
 from benchmarks.force.entrants.forms import Dual, Primal
 from benchmarks.force.entrants.ours import ConicPython
+from benchmarks.force.entrants.pyramids import directions
 from benchmarks.force.package import problem_of
 from benchmarks.force.problems import Problem, load
 from grasp_env.force import ForceOptimizer
@@ -207,6 +210,70 @@ def test_a_margin_is_given_or_the_problem_is_shifted():
     assert sum("many_microseconds" in row for row in ran) == 2 * 3
 
 
+HELD = [(3.0, 0.08), (4.0, 0.01), (-1.0, 0.1)]
+"""Forces [N] and moments [N m] that the pinch holds."""
+
+
+def pinched(name: str, joints: int = 0, **margin: float) -> problems.Track:
+    """A track of pinches, whose optima are known without a solver: torques of joints are far from
+    their limits."""
+    arrays = {
+        "positions": pinch.POSITIONS[None],
+        "frames": pinch.FRAMES[None],
+        "friction": np.full((1, 2), pinch.MU),
+        "torsional_friction": np.full((1, 2), pinch.GAMMA),
+        "wrench": np.array([pinch.wrench(*each) for each in HELD]),
+    }
+    if joints:
+        draw = np.random.default_rng(0).uniform(-1.0, 1.0, (1, 2, 6, joints))
+        arrays |= {"jacobian": draw, "torque_limit": np.full((1, joints), 100.0)}
+    if margin:
+        arrays["friction_margin"] = np.array([margin["margin"]])
+        arrays["preload"] = np.full((1, 2), margin["preload"])
+    normals = [pinch.least_normal(*each, **margin) for each in HELD]
+    forces = [
+        pinch.forces(normal, *each).ravel() for normal, each in zip(normals, HELD, strict=True)
+    ]
+    slopes = [np.append(pinch.multipliers(*each), np.zeros(2 * joints)) for each in HELD]
+    best = 2.0 * np.array(normals)
+    optimum = problems.Reference(best, best, best, np.array(forces), np.array(slopes))
+    session = problems.Session("", arrays, {"sum": optimum})
+    about = {"objectives": ["sum"], "modes": ["persistent"]}
+    return problems.Track(name, [session], about)
+
+
+def test_bounds_of_friction_and_torsion_apart_solve_nothing():
+    class Apart:
+        """The optimum of separate bounds, in closed form."""
+
+        def setup(self, task):
+            pass
+
+        def solve(self, problem, start=None):
+            force, moment = problem.wrench[[1, 3]]
+            least = pinch.least_normal_apart(abs(force), abs(moment))
+            return pinch.forces(least, force, moment)
+
+    rows, _ = run.measured([pinched("pinch")], {"apart": Apart}, run.Effort(rounds=1, seconds=0.0))
+    ran = [row for row in rows if row["method"] == "apart"]
+    assert len(ran) == len(HELD)
+    assert not any(row["solved_coarse"] for row in ran)
+    assert min(row["violation"] for row in ran) > 1e-3
+
+
+@pytest.mark.parametrize(("dimensions", "edges", "held"), [(2, 8, 0.92), (3, 26, 0.88)])
+def test_pyramids_lie_inside_their_cones(dimensions, edges, held):
+    """All edges are on the cone, and hold a ball of this share of it."""
+    rays = directions(dimensions)
+    assert rays.shape == (edges, 1 + dimensions)
+    np.testing.assert_allclose(np.linalg.norm(rays[:, 1:], axis=1), rays[:, 0], rtol=1e-15)
+    sphere = np.random.default_rng(0).standard_normal((2000, dimensions))
+    sphere /= np.linalg.norm(sphere, axis=1)[:, None]
+    hull = ConvexHull(rays[:, 1:])  # a . x + b <= 0
+    assert -hull.equations[:, -1].max() > held
+    assert (hull.equations[:, :-1] @ (held * sphere).T <= -hull.equations[:, -1:]).all()
+
+
 SMALL = ["--tracks", "smooth", "soft", "--quick"]
 
 
@@ -253,8 +320,11 @@ def test_mistakes_are_told_in_one_line(words, said, capsys):
 
 @pytest.fixture(scope="module")
 def tracks():
-    """Three problems each: of contacts that move, within torque limits, soft, and with a margin."""
-    return [load(name) for name in ("random", "own", "soft", "margin")]
+    """Three problems each: of contacts that move, within torque limits, soft, and with a margin;
+    and pinches of known optima."""
+    loaded = [load(name) for name in ("random", "own", "soft", "margin")]
+    narrow = pinched("pinch, margin", margin=0.8, preload=1.5)
+    return [*loaded, pinched("pinch"), narrow, pinched("pinch, many limits", joints=6)]
 
 
 @pytest.mark.parametrize("name", ENTRANTS)
@@ -281,6 +351,7 @@ def test_an_entrant_agrees_or_shows_its_failures(name, tracks, monkeypatch, tmp_
     if name in ("highs", "piqp"):
         assert 0.0 < ran["gap"].median() < 0.1
         assert ran["balance"].max() < 1e-4
+        assert ran["violation"].max() < 1e-6  # they are inside the cones
     else:
         assert ran["solved"].all()
     # no library makes this process flush small numbers to zero

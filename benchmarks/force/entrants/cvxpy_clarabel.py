@@ -45,12 +45,14 @@ class CvxpyClarabel:
         return force, np.concatenate(multipliers), status
 
     def _data(self, problem: Problem) -> tuple[Array, ...]:
+        lever = problem.lever
         return (
             problem.wrench,
             problem.matrix,
             problem.friction,
             problem.limit_matrix,
             problem.limit_bound,
+            np.divide(1.0, lever, out=np.ones(len(lever)), where=lever > 0.0),
         )
 
     def _state(self, problem: Problem) -> None:
@@ -59,18 +61,22 @@ class CvxpyClarabel:
         data = self._data(problem)
         count = len(data) if self._moving else 1
         self._parameters = [cp.Parameter(array.shape) for array in data[:count]]
-        wrench, matrix, friction, limits, bound = [*self._parameters, *data[count:]]
+        wrench, matrix, friction, limits, bound, per_lever = [*self._parameters, *data[count:]]
         self._force = force = cp.Variable((problem.n_contacts, problem.width))
         x = cp.vec(force, order="C")
         u = cp.multiply(friction, force[:, 0])
         tangential = force[:, 1:3]
         self._balance = matrix @ x + wrench == 0
         self._limits = [limits @ x <= bound] if len(problem.limit_bound) else []
-        cones = [cp.norm(tangential, axis=1) <= u]
-        if problem.torsional_friction is not None:
-            cones.append(
-                cp.abs(force[:, 3]) <= cp.multiply(problem.torsional_friction, force[:, 0])
+        across = [tangential]
+        if problem.width == 4:  # a torsion over its lever is like a tangential force
+            across.append(
+                cp.reshape(cp.multiply(per_lever, force[:, 3]), (problem.n_contacts, 1), order="C")
             )
+        cones = [cp.norm(cp.hstack(across), axis=1) <= u]
+        hard = problem.lever == 0.0
+        if problem.width == 4 and hard.any():
+            cones.append(force[hard, 3] == 0.0)
         cost = cp.sum(force[:, 0])
         if self._objective == "phi":
             # 2 u / (u^2 - o^2 - t^2) is 2 / v with the largest v that u (u - v) >= o^2 + t^2 allows

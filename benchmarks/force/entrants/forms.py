@@ -3,6 +3,8 @@
     min c . x   s.t.  sides - rows x in {0}^equations x R+^nonneg x SOC(cones[0]) x SOC(cones[1])
     ...
 
+The cone of a hard contact has three dimensions, that of a soft one four.
+
 `Dual` serves the sum of the normal forces, `Primal` the same where limits outnumber the forces, and
 `Barrier` phi.
 """
@@ -15,7 +17,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.linalg import block_diag
 
 from benchmarks.force.entrant import Answer, Task
 from benchmarks.force.problems import BARRIER_WEIGHT, Array, Problem
@@ -118,100 +119,84 @@ class Form:
 class Dual(Form):
     """The dual of the least sum: forces are the multipliers of the cones.
 
-        min w . nu + b . p   s.t.  p >= 0,  ((a_n - s) / mu, a_o, a_t) in SOC,  gamma abs(a_tau) <=
-        s
+        min w . nu + b . p   s.t.  p >= 0,  (a_n / mu, a_o, a_t, gamma / mu a_tau) in SOC
 
-    with a = c - G^T nu + B^T p of each contact; the variables are nu (6), p (L), and s of each
-    contact with torsion.
+    with a = c - G^T nu + B^T p of each contact; the variables are nu (6) and p (L).
     """
 
     in_cost = True
 
     def _make(self, problem: Problem) -> None:
-        n = problem.n_contacts
-        limits = len(problem.limit_bound)
-        soft = n * (problem.width == 4)
-        self.nonneg = 2 * soft + limits
-        self.cones = [3] * n
-        self._end = 6 + limits  # of the multipliers
-        self.c, self.sides = np.zeros(6 + limits + soft), np.zeros(self.nonneg + 3 * n)
-        super()._make(problem)
-
-    def _rows(self, problem: Problem, matrix: Array, limit_matrix: Array) -> Array:
-        rows = np.zeros((len(self.sides), len(self.c)))
-        n = problem.n_contacts
-        end = self._end
-        mu = problem.friction
-        # c - a of each contact
-        work = np.concatenate([matrix, -limit_matrix]).T.reshape(n, -1, end)
-        cones = rows[self.nonneg :].reshape(n, 3, -1)
-        cones[:, :, :end] = work[:, :3]
-        cones[:, 0] /= mu[:, None]
-        if problem.torsional_friction is not None:
-            i = np.arange(n)
-            turning = problem.torsional_friction[:, None] * work[:, 3]
-            rows[:n, :end] = -turning
-            rows[n : 2 * n, :end] = turning
-            rows[i, end + i] = rows[n + i, end + i] = -1.0
-            cones[i, 0, end + i] = 1.0 / mu
-        rows[self.nonneg - (end - 6) : self.nonneg, 6:end] = -np.eye(end - 6)
-        return rows
-
-    def _numbers(self, problem: Problem) -> None:
-        super()._numbers(problem)
-        self.sides[self.nonneg :: 3] = self._per_normal = 1.0 / problem.friction
-        if problem.torsional_friction is not None:
-            self._per_turning = problem.torsional_friction
-
-    def _wrench(self, problem: Problem) -> None:
-        self._unit = self._size(problem)
-        self.c[:6] = problem.wrench / self._unit
-        if self._end > 6:
-            self.c[6 : self._end] = problem.limit_bound / self._unit
-
-    def _read(self, x: Array, z: Array) -> tuple[Array, Array]:
-        n = len(self.cones)
-        if len(x) == self._end:
-            force = z[self.nonneg :] * self._unit
-            force[::3] *= self._per_normal
-        else:
-            torsion = self._per_turning * (z[n : 2 * n] - z[:n])
-            force = np.column_stack([z[self.nonneg :].reshape(n, 3), torsion])
-            force[:, 0] *= self._per_normal
-            force *= self._unit
-        return self._touched(force.ravel()), np.array(x[: self._end])
-
-    def _witness(self, x: Array, z: Array) -> Array:
-        return np.concatenate([-x[:6], x[6 : self._end]])
-
-
-class Primal(Form):
-    """The least sum of the normal forces; the variables are the forces."""
-
-    equations = 6
-
-    def _make(self, problem: Problem) -> None:
-        n = problem.n_contacts
-        k = problem.width
-        limits = len(problem.limit_bound)
-        self.nonneg = limits + 2 * n * (k == 4)
-        self.cones = [3] * n
-        self.c = np.tile(np.eye(k)[0], n)
-        self.sides = np.zeros(6 + self.nonneg + 3 * n)
-        self._limits = slice(6, 6 + limits)
+        n, k = problem.n_contacts, problem.width
+        self.nonneg = len(problem.limit_bound)
+        self.cones = [k] * n
+        self.c, self.sides = np.zeros(6 + self.nonneg), np.zeros(self.nonneg + k * n)
         super()._make(problem)
 
     def _rows(self, problem: Problem, matrix: Array, limit_matrix: Array) -> Array:
         n, k = problem.n_contacts, problem.width
-        rows = [matrix, limit_matrix]
-        if problem.torsional_friction is not None:
-            blocks = ([[-g, 0, 0, 1], [-g, 0, 0, -1]] for g in problem.torsional_friction)
-            rows.append(np.array(block_diag(*blocks), dtype=float))
-        cones = np.zeros((n, 3, n, k))
-        i = np.arange(n)
-        cones[i, 0, i, 0] = -problem.friction
-        cones[i, 1, i, 1] = cones[i, 2, i, 2] = -1.0
-        return np.concatenate([*rows, cones.reshape(3 * n, -1)])
+        rows = np.zeros((len(self.sides), len(self.c)))
+        rows[: self.nonneg, 6:] = -np.eye(self.nonneg)
+        # c - a of each contact
+        rows[self.nonneg :] = np.concatenate([matrix, -limit_matrix]).T
+        cones = rows[self.nonneg :].reshape(n, k, -1)
+        cones[:, 0] /= problem.friction[:, None]
+        if k == 4:
+            cones[:, 3] *= problem.lever[:, None]
+        return rows
+
+    def _numbers(self, problem: Problem) -> None:
+        super()._numbers(problem)
+        self._per_normal = 1.0 / problem.friction
+        self._lever = problem.lever
+        self.sides[self.nonneg :: problem.width] = self._per_normal
+
+    def _wrench(self, problem: Problem) -> None:
+        self._unit = self._size(problem)
+        self.c[:6] = problem.wrench / self._unit
+        if self.nonneg:
+            self.c[6:] = problem.limit_bound / self._unit
+
+    def _read(self, x: Array, z: Array) -> tuple[Array, Array]:
+        force = z[self.nonneg :] * self._unit
+        force[:: self.cones[0]] *= self._per_normal
+        if self.cones[0] == 4:
+            force[3::4] *= self._lever
+        return self._touched(force), np.array(x)
+
+    def _witness(self, x: Array, z: Array) -> Array:
+        return np.concatenate([-x[:6], x[6:]])
+
+
+class Primal(Form):
+    """The least sum of the normal forces.
+
+    The variables are the forces, with v = mu / gamma torsion in place of torsion. The cones hold (mu
+    n, o, t, v). A v without torsional friction moves nothing.
+    """
+
+    equations = 6
+
+    def _make(self, problem: Problem) -> None:
+        n, k = problem.n_contacts, problem.width
+        self.nonneg = len(problem.limit_bound)
+        self.cones = [k] * n
+        self.c = np.tile(np.eye(k)[0], n)
+        self.sides = np.zeros(6 + self.nonneg + k * n)
+        self._limits = slice(6, 6 + self.nonneg)
+        super()._make(problem)
+
+    def _rows(self, problem: Problem, matrix: Array, limit_matrix: Array) -> Array:
+        cones = -np.eye(len(self.c))
+        cones[:: problem.width] *= problem.friction[:, None]
+        rows = np.concatenate([matrix, limit_matrix, cones])
+        if problem.width == 4:
+            rows[: -len(cones), 3::4] *= problem.lever
+        return rows
+
+    def _numbers(self, problem: Problem) -> None:
+        super()._numbers(problem)
+        self._lever = problem.lever
 
     def _wrench(self, problem: Problem) -> None:
         self._unit = self._size(problem)
@@ -219,7 +204,10 @@ class Primal(Form):
         self.sides[self._limits] = problem.limit_bound / self._unit
 
     def _read(self, x: Array, z: Array) -> tuple[Array, Array]:
-        return self._touched(x * self._unit), np.concatenate([-z[:6], z[self._limits]])
+        force = x * self._unit
+        if self.cones[0] == 4:
+            force[3::4] *= self._lever
+        return self._touched(force), np.concatenate([-z[:6], z[self._limits]])
 
     def _witness(self, x: Array, z: Array) -> Array:
         return np.concatenate([z[:6], z[self._limits]])

@@ -35,42 +35,47 @@ static double balance(const force_problem* p, int row, int column) {
   return p->matrix[row * p->contacts * p->width + column];
 }
 
+/* torsion of a unit of v, [m] */
+static double lever(const force_problem* p, int i) {
+  return p->torsional_friction[i] / p->friction[i];
+}
+
 /* Dual._rows */
 static double dual_number(const force_problem* p, int row, int column) {
-  int n = p->contacts, k = p->width, soft = k == 4 ? 2 * n : 0, begin = soft + p->limits;
-  int i = row < soft ? row % n : (row - begin) / 3, of = row < soft ? 3 : (row - begin) % 3;
-  if (row >= soft && row < begin) return row - soft == column - 6 ? -1.0 : 0.0;
-  double scale = row < n && soft ? -p->torsional_friction[i]
-                 : row < soft    ? p->torsional_friction[i]
-                 : of == 0       ? 1.0 / p->friction[i]
-                                 : 1.0;
+  int k = p->width, i = (row - p->limits) / k, of = (row - p->limits) % k;
+  if (row < p->limits) return row == column - 6 ? -1.0 : 0.0;
+  double scale = of == 0 ? 1.0 / p->friction[i] : of == 3 ? lever(p, i) : 1.0;
   if (column < 6) return scale * balance(p, column, k * i + of);
-  if (column < 6 + p->limits) return -scale * limit(p, column - 6, k * i + of);
-  return column - 6 - p->limits != i ? 0.0 : row < soft ? -1.0 : of == 0 ? scale : 0.0;
+  return -scale * limit(p, column - 6, k * i + of);
+}
+
+/* A number of Primal._rows in a row of balance or of limits, with v in place of torsion. */
+static double primal_scaled(const force_problem* p, double number, int column) {
+  return p->width == 4 && column % 4 == 3 ? number * lever(p, column / 4) : number;
 }
 
 /* Primal._rows below the equations */
 static double primal_number(const force_problem* p, int row, int column) {
-  int n = p->contacts, k = p->width, soft = k == 4 ? 2 * n : 0, begin = p->limits + soft;
-  if (row < p->limits) return limit(p, row, column);
-  int i = row < begin ? (row - p->limits) / 2 : (row - begin) / 3, of = column - k * i;
-  if (row < begin) return of == 0 ? -p->torsional_friction[i] : (row - p->limits) % 2 ? -1.0 : 1.0;
-  return of == 0 ? -p->friction[i] : -1.0;
+  int k = p->width;
+  if (row < p->limits) return primal_scaled(p, limit(p, row, column), column);
+  return column % k == 0 ? -p->friction[column / k] : -1.0;
 }
 
 static void refresh(Context* at, const force_problem* p) {
   Workspace* work = &at->work;
   const Description* generated = &at->generated;
-  int n = p->contacts, form = generated->form;
+  int n = p->contacts, k = p->width, form = generated->form;
   for (int j = 0; j < generated->count_a; ++j) {
     int row = generated->rows_a[j], column = generated->columns_a[j];
-    work->A[j] = balance(p, row, column) /
-                 (form == BARRIER && column % 3 == 0 ? p->friction[column / 3] : 1.0);
+    double number = balance(p, row, column);
+    if (form == PRIMAL) number = primal_scaled(p, number, column);
+    if (form == BARRIER && column % 3 == 0) number /= p->friction[column / 3];
+    work->A[j] = number;
   }
   for (int j = 0; form != BARRIER && j < generated->count_g; ++j) /* the barrier's are constants */
     work->G[j] = (form == DUAL ? dual_number : primal_number)(p, generated->rows_g[j],
                                                               generated->columns_g[j]);
-  for (int i = 0; form == DUAL && i < n; ++i) work->h[work->l + 3 * i] = 1.0 / p->friction[i];
+  for (int i = 0; form == DUAL && i < n; ++i) work->h[work->l + k * i] = 1.0 / p->friction[i];
   at->moved = p->moved;
 }
 
@@ -118,15 +123,12 @@ int qocogen(void* context, const force_problem* p, const double* start, double* 
   }
   const double *x = work->sol.x, *z = work->sol.z;
   for (int i = 0; i < n; ++i, force += k) {
-    const double* from = form == DUAL ? z + work->l + 3 * i : x + (form == PRIMAL ? k : 3) * i;
+    const double* from = (form == DUAL ? z + work->l : x) + k * i;
     int on = touches(p, i);
     force[0] = on ? unit * from[0] / (form == PRIMAL ? 1.0 : p->friction[i]) : 0.0;
     force[1] = on ? unit * from[1] : 0.0;
     force[2] = on ? unit * from[2] : 0.0;
-    if (k == 4)
-      force[3] =
-          !on ? 0.0
-              : unit * (form == DUAL ? p->torsional_friction[i] * (z[n + i] - z[i]) : from[3]);
+    if (k == 4) force[3] = on ? unit * lever(p, i) * from[3] : 0.0;
   }
   for (int j = 0; j < 6; ++j) multipliers[j] = form == DUAL ? x[j] : -work->sol.y[j];
   for (int j = 0; j < limits; ++j) multipliers[6 + j] = form == DUAL ? x[6 + j] : z[j];

@@ -28,15 +28,20 @@ class Slsqp:
         mu = problem.friction[on]
         columns = np.repeat(on, k)
         matrix = problem.matrix[:, columns]
-        limits = problem.limit_matrix
         bound = problem.limit_bound
-        if problem.torsional_friction is not None:
-            rows = _torsion(problem.torsional_friction)
-            limits = np.concatenate([limits, rows])
-            bound = np.append(bound, np.zeros(len(rows)))
-        limits = limits[:, columns]
-        begin = start[columns] if start is not None else -np.linalg.pinv(matrix) @ problem.wrench
-        begin[::k] = np.maximum(begin[::k], 1.1 * np.hypot(begin[1::k], begin[2::k]) / mu)
+        limits = problem.limit_matrix[:, columns]
+        # torsions are divided by their levers: like tangential forces
+        scale = np.ones((problem.n_contacts, k))
+        if k == 4:
+            scale[:, 3] = problem.lever
+        scale = scale.ravel()[columns]
+        matrix = matrix * scale
+        limits = limits * scale
+        if start is not None:
+            begin = np.divide(start[columns], scale, out=np.zeros(len(scale)), where=scale > 0.0)
+        else:
+            begin = -np.linalg.pinv(matrix) @ problem.wrench
+        begin[::k] = np.maximum(begin[::k], 1.1 * _sideways(begin, k) / mu)
         constraints = [
             {"type": "eq", "fun": lambda x: matrix @ x + problem.wrench, "jac": lambda x: matrix},
             {"type": "ineq", "fun": _room, "jac": _room_jacobian, "args": (mu, k)},
@@ -53,30 +58,25 @@ class Slsqp:
         )
         self.iterations = result.nit
         force = np.zeros(problem.matrix.shape[1])
-        force[columns] = result.x
+        force[columns] = result.x * scale
         return force, None, "solved" if result.success else "failed"
+
+
+def _sideways(x: Array, k: int) -> Array:
+    return np.sqrt((x.reshape(-1, k)[:, 1:] ** 2).sum(axis=1) + ROUND)
 
 
 def _room(x: Array, mu: Array, k: int) -> Array:
     # with mu^2 n^2 - o^2 - t^2 >= 0 it reports success far from the optimum on some wrenches
-    return mu * x[::k] - np.sqrt(x[1::k] ** 2 + x[2::k] ** 2 + ROUND)
+    return mu * x[::k] - _sideways(x, k)
 
 
 def _room_jacobian(x: Array, mu: Array, k: int) -> Array:
-    o = x[1::k]
-    t = x[2::k]
     i = np.arange(len(mu))
     jacobian = np.zeros((len(mu), len(mu), k))
-    size = np.sqrt(o**2 + t**2 + ROUND)
-    jacobian[i, i, :3] = np.column_stack([mu, -o / size, -t / size])
+    jacobian[i, i, 0] = mu
+    jacobian[i, i, 1:] = -x.reshape(-1, k)[:, 1:] / _sideways(x, k)[:, None]
     return jacobian.reshape(len(mu), -1)
-
-
-def _torsion(gamma: Array) -> Array:
-    """Return the rows of abs(torsion) - gamma n <= 0."""
-    levers = np.kron(np.diag(gamma), [[1.0, 0, 0, 0]])
-    torsions = np.kron(np.eye(len(gamma)), [[0.0, 0, 0, 1]])
-    return np.concatenate([torsions - levers, -torsions - levers])
 
 
 def _sum(x: Array, mu: Array, k: int) -> tuple[float, Array]:
