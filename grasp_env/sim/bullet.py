@@ -35,6 +35,9 @@ COUPLED_SWEEPS, MAX_SWEEPS = 100, 1000
 # fewest solver sweeps if a finger has more than three joints: with 20, the fingers of LEAP crept
 # along objects by up to 3 mm in 4 s
 LONG_SWEEPS = 40
+# fewest solver sweeps with soft contacts: under shear and torsion at once a cylinder between four
+# fingertips crept 1.4 mm in 2 s with 20 sweeps, 0.3 mm with 60
+SOFT_SWEEPS = 60
 # fewest solver sweeps if a finger has fewer than three motors and squeezes the object through its
 # structure: iCub held a cube in 0 of 10 trials with 40 sweeps and in 10 with 400, the Ability hand
 # a ball in 3 with 400 and in 10 with 800
@@ -178,7 +181,11 @@ def build_world(client: int, config: SceneConfig, urdf: str, angles: np.ndarray)
     bullet.setPhysicsEngineParameter(
         fixedTimeStep=1.0 / engine.rate,
         numSubSteps=0,  # with substeps the reported contact forces are a fraction of the true ones
-        numSolverIterations=max(engine.solver_iterations, min_sweeps(config.hand)),
+        numSolverIterations=max(
+            engine.solver_iterations,
+            min_sweeps(config.hand),
+            SOFT_SWEEPS if config.object.torsional_friction > 0.0 else 0,
+        ),
         solverResidualThreshold=0.0,
         enableConeFriction=1,
         deterministicOverlappingPairs=1,

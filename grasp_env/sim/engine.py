@@ -49,8 +49,8 @@ class BulletEngine(EngineSettings):
     solver_iterations: int = setting(
         20,
         integer(1, _MAX_SWEEPS),
-        "Sweeps of the contact solver in one step; at least 40 if a finger has more than three joints, 800 if one has fewer "
-        "than three motors.",
+        "Sweeps of the contact solver in one step; at least 40 if a finger has more than three joints, 60 if contacts are "
+        "soft, 800 if a finger has fewer than three motors.",
     )
     mesh_contacts: str = setting(
         "pieces",
@@ -91,7 +91,8 @@ class MujocoEngine(EngineSettings):
     cone: str = setting(
         "elliptic",
         one_of(("elliptic", "pyramidal")),
-        "Friction cones; a pyramidal one is an inner approximation with four sides and slips below the given friction.",
+        "Friction cones; a pyramidal one is an inner approximation with four sides, eight if contacts are soft, and slips below "
+        "the given friction.",
     )
     impratio: float = setting(
         10.0, real(_POSITIVE), "Ratio of the stiffness of friction to that of the normal force."
