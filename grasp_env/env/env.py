@@ -28,6 +28,7 @@ from grasp_env.env.observation import Observer, action_size
 from grasp_env.env.plan import Plan, make_plan
 from grasp_env.env.stage import Stage
 from grasp_env.errors import GraspError, InvalidInputError, SimulationError, shown
+from grasp_env.force import ForceSolution
 from grasp_env.inputs.arguments import Array, as_array, as_wrench, choice, instance, warn, whole
 from grasp_env.sim import Scene
 from grasp_env.sim.engine import class_of
@@ -402,6 +403,11 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     def scene(self) -> Scene:
         """The simulation, for cameras and measurements."""
         return self._stage_or_raise().scene
+
+    @property
+    def solution(self) -> ForceSolution | None:
+        """The method's last solution, of the fingers in contact; None without one."""
+        return self._loop.solution
 
     @property
     def spec(self) -> EnvSpec | None:

@@ -176,13 +176,14 @@ def test_plans_are_sound(tmp_path):
     hands = scenarios.hands_plan(("leap", str(tmp_path / "mine.urdf")), ("bullet",), 50)
     controllers = scenarios.controllers_plan(500)
     transfer = scenarios.transfer_plan(("four_finger", "allegro"), 300)
-    for plan in (controllers, [*transfer, *hands], objects):
+    soft = HoldsConfig("soft").plan()
+    for plan in (controllers, [*transfer, *hands], objects, soft):
         assert len({one.name for one in plan}) == len(plan)
         assert all(
             {*one.engines} <= {*scenarios.ENGINES} and one.case in scenarios.LABELS for one in plan
         )
         json.dumps([asdict(one) for one in plan], allow_nan=False)
-    episodes = {one.name: one.episodes for one in (*controllers, *transfer, *hands)}
+    episodes = {one.name: one.episodes for one in (*controllers, *transfer, *hands, *soft)}
     for name, count in {
         "objects/paper": 500,
         "objects/pd": 500,
@@ -194,6 +195,8 @@ def test_plans_are_sound(tmp_path):
         "weak/allegro": 300,
         "estimated/four_finger": 300,
         "all_safe/four_finger": 100,
+        "soft/jaws": 100,
+        "soft_pyramid/three_finger": 50,
         "cube_gravity/mine": 1,
         "random_gravity/mine": 50,
         "cube_random/mine": 50,
@@ -212,7 +215,8 @@ def test_plans_are_sound(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "words", [["env"], ["env", "--hands", "four_finger"], ["transfer", "--hands", "four_finger"]]
+    "words",
+    [["env"], ["env", "--hands", "four_finger"], ["transfer", "--hands", "four_finger"], ["soft"]],
 )
 def test_quick_runs_from_the_command_line(words, tmp_path, capsys):
     assert main(["evaluate", *words, "--quick", "--out", str(tmp_path), "--name", "q"]) == 0

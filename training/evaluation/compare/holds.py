@@ -10,7 +10,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -25,10 +25,11 @@ from grasp_env.force.initial import InitialForceRule
 from grasp_env.inputs.arguments import AllFaults, choice
 from grasp_env.sim import HandKinematics, ObjectDescription
 from grasp_env.sim.engine import class_of, engine_of
+from grasp_env.sim.grasping.pads import with_soft_contacts
 from grasp_env.sim.grasping.points import grasp_points
 from grasp_env.sim.hand.description import HANDS, HandDescription
 from training.data.episodes import episode
-from training.evaluation.compare import scenarios
+from training.evaluation.compare import scenarios, soft_tips
 from training.evaluation.compare.scenarios import (
     ENGINES,
     HOLDS_OF_STARTS,
@@ -43,7 +44,7 @@ from training.evaluation.results.table import pd, table
 
 NO_START, NOT_PLACED = "no_start", "not_placed"
 """Failures: the grasp did not close or settle; no pose of hand or fingers was found."""
-QUICK_EPISODES = {"env": 4, "hands": 2, "objects": 2, "transfer": 2}
+QUICK_EPISODES = {"env": 4, "hands": 2, "objects": 2, "transfer": 2, "soft": 4}
 _CHUNK = 4
 """Number of seeds in a shard."""
 _REDRAWS = 100
@@ -61,8 +62,8 @@ class HoldsConfig:
 
     Attributes:
         kind: "env" (controllers of the four-finger hand), "hands" (hands against objects and
-            disturbances), "objects" (the same with objects from mesh files) or "transfer" (the same
-            hands in both engines).
+            disturbances), "objects" (the same with objects from mesh files), "transfer" (the same
+            hands in both engines) or "soft" (soft fingertips in both engines).
         hands, engines, episodes, objects, seed, quick: the options of `grasp evaluate`.
     """
 
@@ -95,13 +96,15 @@ class HoldsConfig:
 
     def plan(self) -> list[Scenario]:
         """Return the scenarios."""
-        usual = {"env": 500, "hands": 100, "objects": 10, "transfer": 300}[self.kind]
+        usual = {"env": 500, "hands": 100, "objects": 10, "transfer": 300, "soft": 200}[self.kind]
         episodes = QUICK_EPISODES[self.kind] if self.quick else self.episodes or usual
         if self.kind == "env":
             return scenarios.controllers_plan(episodes, self.quick)
         if self.kind in ("hands", "objects"):
             engines = self.engines or scenarios.usual_engines()
             return scenarios.hands_plan(self.hands, engines, episodes, self.objects)
+        if self.kind == "soft":
+            return scenarios.soft_plan(episodes)
         return scenarios.transfer_plan(self.hands or scenarios.PRESETS, episodes)
 
 
@@ -157,7 +160,12 @@ def work(shard: Shard) -> pd.DataFrame:
             "case": scenario.case,
             "engine": engine,
             "seed": seed,
-            **trial({**scenario.settings, **ENGINES[engine]}, scenario.random_objects, seed),
+            **trial(
+                {**scenario.settings, **ENGINES[engine]},
+                scenario.random_objects,
+                seed,
+                soft=scenario.soft,
+            ),
         }
         for seed in seeds
         for engine in scenario.engines
@@ -185,48 +193,67 @@ def trial(
     random_objects: bool,
     seed: int,
     rule: str | InitialForceRule | None = None,
+    soft: bool = False,
 ) -> dict[str, Any]:
     """Play one episode in a new environment (see `settings_of`) and return its columns.
 
-    With `random_objects` the seed draws the object, too. `rule` is the start of the optimisations;
-    None: the environment's own.
+    With `random_objects` the seed draws the object, too, and with `soft` the load on soft
+    fingertips. `rule` is the start of the optimisations; None: the environment's own.
     """
     config = settings_of(settings)
     redrawn = 0
     if random_objects:
-        item, points, redrawn = draw_object(seed, config)
+        item, points, redrawn = draw_object(
+            seed, config, config.controller.friction_margin if soft else 1.0
+        )
         config = config.override(object=item, contact_points=points, randomize=())
+    if soft:
+        config = soft_tips.with_load(config, seed)
     if rule is not None:
         config = config.override(initial_force=rule)
     row: dict[str, Any] = {"redrawn": redrawn, **_object(config)}
+    infos = list[dict[str, Any]]()
+    used = list[float]()
     try:
         with warnings.catch_warnings():
             # about the hand's structure, for every episode; the rows show the effect
             warnings.simplefilter("ignore", GraspWarning)
             with closing(FourFingerGrasp(config=config)) as env:
-                infos = [step.info for step in episode(env, seed)]
+                for step in episode(env, seed):
+                    infos.append(step.info)
+                    if solution := env.solution:
+                        used.append(float(np.nanmax(solution.friction_used)))
     except GraspError as error:
         failure = NOT_PLACED if isinstance(error, InvalidInputError) else NO_START
         return {**row, "held": False, "failure": failure, "detail": str(error), "status": None}
-    return {**row, **_object(config, infos[0]), **episode_columns(infos)}
+    return {
+        **row,
+        **_object(config, infos[0]),
+        **episode_columns(infos),
+        "friction_used": max(used, default=None),
+    }
 
 
-def draw_object(seed: int, config: EnvConfig) -> tuple[ObjectDescription, np.ndarray, int]:
+def draw_object(
+    seed: int, config: EnvConfig, friction_share: float = 1.0
+) -> tuple[ObjectDescription, np.ndarray, int]:
     """Draw the random object of a seed within reach of the hand, in the ranges of `randomize`.
 
     Return the object, its contact points (N, 3) [m] in the object frame, and the number of objects
     drawn before it without a grasp; none of these depends on controller or engine. A hand without
-    a fixed pose, which is placed anew for every object, has no points.
+    a fixed pose, which is placed anew for every object, has no points. The points are those of a
+    grasp with `friction_share` of the friction.
     """
     rng = np.random.default_rng([seed, 0x0B1EC7])
     kinematics = _kinematics(config.hand)
     ranges = EnvConfig().override(randomize={**RANDOM_OBJECT, **dict(config.randomize)})
     for redrawn in range(_REDRAWS):
-        item = ranges.drawn(rng).object
+        item = with_soft_contacts(ranges.drawn(rng).object, kinematics.hand)
         if not kinematics.hand.placed:
             return item, np.zeros((0, 3)), 0
         try:
-            return item, np.asarray(grasp_points(item, kinematics)[0]), redrawn
+            planned = replace(item, friction=friction_share * item.friction)
+            return item, np.asarray(grasp_points(planned, kinematics)[0]), redrawn
         except GraspError:
             continue
     raise SimulationError(f"no grasp was found for any of {_REDRAWS} random objects of seed {seed}")
@@ -318,15 +345,15 @@ def _speeds(plan: Sequence[Scenario]) -> dict[str, float]:
             first.setdefault(name, {**scenario.settings, **ENGINES[engine]})
     out: dict[str, float] = {}
     for name, settings in first.items():
-        with (
-            suppress(GraspError),
-            closing(FourFingerGrasp(config=settings_of(settings).override(randomize=()))) as env,
-        ):
-            for seed in range(_ROUNDS):
-                running = episode(env, seed, most=_TIMED)
-                begun = time.perf_counter()
-                steps = sum(1 for _ in running)
-                out[name] = max(out.get(name, 0.0), steps / (time.perf_counter() - begun))
+        config = settings_of(settings).override(randomize=())
+        with warnings.catch_warnings(), suppress(GraspError):
+            warnings.simplefilter("ignore", GraspWarning)  # as in `trial`
+            with closing(FourFingerGrasp(config=config)) as env:
+                for seed in range(_ROUNDS):
+                    running = episode(env, seed, most=_TIMED)
+                    begun = time.perf_counter()
+                    steps = sum(1 for _ in running)
+                    out[name] = max(out.get(name, 0.0), steps / (time.perf_counter() - begun))
     return out
 
 
@@ -337,4 +364,6 @@ def _kinematics(hand: str | HandDescription) -> HandKinematics:
 
 @cache
 def _hand(name: str) -> str | HandDescription:
+    if name in soft_tips.GRIPPERS:
+        return soft_tips.GRIPPERS[name]()
     return name if name in HANDS else HandDescription.from_file(name)

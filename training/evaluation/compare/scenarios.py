@@ -27,6 +27,8 @@ class Scenario:
         settings: settings of the environment, JSON-able.
         engines: keys of `ENGINES`; the others are compared with the first.
         random_objects: True if each seed draws its object.
+        soft: True if fingertips are soft, and each seed draws a load of shear and torsion, see
+            `soft_tips.with_load`.
     """
 
     case: str
@@ -35,6 +37,7 @@ class Scenario:
     settings: dict[str, Any] = field(default_factory=dict)
     engines: tuple[str, ...] = field(default_factory=usual_engines)
     random_objects: bool = True
+    soft: bool = False
 
     @property
     def name(self) -> str:
@@ -115,6 +118,14 @@ PUSHES: dict[str, dict[str, Any]] = {
     "random": WEAK_WRENCH,
     "six_directions": {"task": "six_directions"},
 }
+SOFT_HANDS: dict[str, tuple[int, dict[str, Any]]] = {
+    "jaws": (2, SMALL_OBJECTS),
+    "three_finger": (4, {}),
+    "four_finger": (4, {}),
+}
+"""Hands with soft fingertips: the divisor of the number of episodes, and their own objects."""
+SOFT_MARGINS = {"soft": 0.8, "soft_pyramid": 0.5}
+"""Friction margins by scenario; MuJoCo's pyramid contains what uses at most 1 / sqrt(3)."""
 PATH_SCALE = 0.1
 """Scale of W_ext(t) in the roll-outs of starts."""
 HOLDS_OF_STARTS: dict[str, dict[str, Any]] = {
@@ -154,6 +165,10 @@ LABELS: dict[str, str] = {
     "all_safe": "all four errors, margin 0.6",
     "squeeze": "constant squeeze",
     "pd": "PD only",
+    **{
+        case: f"soft tips, shear and torsion at once, margin {margin:g}"
+        for case, margin in SOFT_MARGINS.items()
+    },
     **{
         f"{item}_{push}": f"{_OBJECT_LABELS[item]}, {_PUSH_LABELS[push]}"
         for item in OBJECTS
@@ -254,6 +269,25 @@ def transfer_plan(hands: Sequence[str], episodes: int) -> list[Scenario]:
             settings = {"hand": hand, **wrench, **settings}
             plan.append(Scenario(case, keys, count, settings, engines))
     return plan
+
+
+def soft_plan(episodes: int) -> list[Scenario]:
+    """Plan soft fingertips under shear and torsion in both engines, with both cones of MuJoCo.
+
+    Half of the `episodes` are those of a gripper.
+    """
+    return [
+        Scenario(
+            case,
+            {"hand": hand},
+            max(1, episodes // share),
+            {"hand": hand, "controller.friction_margin": margin, **objects},
+            (*BOTH, "pyramidal"),
+            soft=True,
+        )
+        for case, margin in SOFT_MARGINS.items()
+        for hand, (share, objects) in SOFT_HANDS.items()
+    ]
 
 
 def mesh_settings(text: str) -> tuple[str, dict[str, Any]]:

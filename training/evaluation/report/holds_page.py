@@ -7,7 +7,13 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from training.evaluation.compare.scenarios import BASELINES, CONTROLLER_LABELS, CURVES, LABELS
+from training.evaluation.compare.scenarios import (
+    BASELINES,
+    BOTH,
+    CONTROLLER_LABELS,
+    CURVES,
+    LABELS,
+)
 from training.evaluation.report.page import axes
 from training.evaluation.results.claims import Claim
 from training.evaluation.results.table import Rows, chosen, numbers, pd
@@ -77,6 +83,14 @@ CLAIMS = {
             difference=True,
         )
         for case in ("objects", "estimated", "weak")
+    ),
+    "soft": tuple(
+        Claim.of(
+            f"{LABELS['soft']}: share held in {engine}",
+            f"case == 'soft' and engine == '{engine}'",
+            "held_mean >= 1",
+        )
+        for engine in BOTH
     ),
 }
 

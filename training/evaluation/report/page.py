@@ -26,6 +26,7 @@ KINDS = {
     "hands": "holds",
     "objects": "holds",
     "transfer": "holds",
+    "soft": "holds",
     "rl": "rl",
     "reproduce": "reproduce",
 }

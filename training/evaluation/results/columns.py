@@ -201,6 +201,9 @@ COLUMNS: dict[str, Column] = {
     ),
     "end_slip": _real("the same, held or not", unit="mm"),
     "overlap": _real("largest penetration of a fingertip into the object", "max", "mm"),
+    "friction_used": _real(
+        "largest share of the given friction that an optimised force uses, torsion included", "max"
+    ),
     "normal_force": _real("sum of the normal forces, mean over the episode", _MEAN, "N"),
     "commanded_force": _real(
         "sum of the commanded normal forces, mean over the episode", _MEAN, "N"

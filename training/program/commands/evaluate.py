@@ -18,6 +18,7 @@ OPTIONS = {
     "env": ("hands", "episodes"),
     "env --hands ...": ("hands", "objects", "engines", "episodes"),
     "transfer": ("hands", "episodes"),
+    "soft": ("episodes",),
 }
 """Options that apply to some comparisons only."""
 
@@ -31,8 +32,8 @@ class Evaluate:
     Attributes:
         what: starts (compare all starts with both methods, time them, and simulate the hand: about
             a minute on two cores), env (how often controllers hold random objects; with --hands,
-            how often these hands hold objects: hours) or transfer (the same hands in Bullet and in
-            MuJoCo: hours).
+            how often these hands hold objects: hours), transfer (the same hands in Bullet and in
+            MuJoCo: hours) or soft (soft fingertips under shear and torsion in both: ten minutes).
         out: folder of runs.
         name: name of this run; empty: <what>-<date>-<time>. The name of an interrupted run
             continues it.
@@ -46,7 +47,7 @@ class Evaluate:
         timed: starts: number of wrenches whose calls are timed.
         repeats: starts: number of times each of those calls is timed.
         episodes: episodes per random scenario, or per main scenario; 0: 10 for starts, 500 for env,
-            100 for env --hands, 10 with --objects, 300 for transfer.
+            100 for env --hands, 10 with --objects, 300 for transfer, 200 in each engine for soft.
         steps: starts: steps of each roll-out, at 50 per second.
         start: starts: your own starts to compare with the others, each NAME=module:rule,
             NAME=file.py:rule or NAME=path of a saved model. A rule takes (grasp, wrench) and
@@ -58,7 +59,7 @@ class Evaluate:
         engines: env --hands: physics engines; none: the default one.
     """
 
-    what: tyro.conf.Positional[Literal["starts", "env", "transfer"]] = "starts"
+    what: tyro.conf.Positional[Literal["starts", "env", "transfer", "soft"]] = "starts"
     out: str = "runs"
     name: str = ""
     seed: int = 0
@@ -82,7 +83,7 @@ class Evaluate:
         from grasp_env.sim.engine import class_of, engine_of
         from training.evaluation.results.run import Run, default_name
 
-        for name in BOTH if self.what == "transfer" else ():
+        for name in BOTH if self.what in ("transfer", "soft") else ():
             class_of(engine_of(name), "simulator")  # report a missing engine before the folder
         kind = self.what
         if kind == "env" and self.hands:
