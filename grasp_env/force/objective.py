@@ -102,14 +102,20 @@ class Objective:
         return core.phi(*self._contacts(x, tangential, finite=False))
 
     def gradient(self, x: Array, tangential: ArrayLike | None = None) -> Array:
-        """Return the gradient of Phi, shaped as `x`, at `x` strictly inside the cones."""
+        """Return the gradient of Phi, shaped as `x`, strictly inside the cones.
+
+        `x` and `tangential` are those of `value`.
+        """
         rows, weights = self._contacts(x, tangential, inside=True)
         out = np.empty_like(rows)
         core.phi_gradient(rows, weights, out)
         return out.reshape(-1)
 
     def hessian(self, x: Array, tangential: ArrayLike | None = None) -> Array:
-        """Return the Hessian blocks (N, 3, 3) or (N, 4, 4) of Phi at `x` inside the cones."""
+        """Return the Hessian blocks (N, 3, 3) or (N, 4, 4) of Phi inside the cones.
+
+        `x` and `tangential` are those of `value`.
+        """
         rows, weights = self._contacts(x, tangential, inside=True)
         out = np.empty((*rows.shape, rows.shape[1]))
         core.phi_hessian(rows, weights, out)
@@ -125,7 +131,7 @@ class Objective:
         """Return a lower bound of Phi over forces that balance `wrench` (6,), or -inf.
 
         It is the dual value at the `multipliers` nu (6,); at the optimum grad Phi = G^T nu, with G
-        in cone coordinates, `cone_matrix` (6, 3N) or (6, 4N).
+        in cone coordinates, `cone_matrix` (6, 3N) or (6, 4N). `tangential` is that of `value`.
         """
         nu = as_array(multipliers, (6,), "multipliers", ranges.SIZE)
         load = as_array(wrench, (6,), "wrench", ranges.SIZE)
@@ -143,7 +149,8 @@ class Objective:
         numbers = as_array(x, None, "x", ranges.SIZE if finite else None, finite=finite)
         parts = None if tangential is None else as_array(tangential, (None,), "tangential")
         count = numbers.size // 3 if parts is None else len(parts)
-        if not 1 <= count <= ranges.SIDE_BY_SIDE or numbers.size not in (3 * count, 4 * count):
+        allowed = (3 * count,) if parts is None else (3 * count, 4 * count)
+        if not 1 <= count <= ranges.SIDE_BY_SIDE or numbers.size not in allowed:
             raise InvalidInputError(
                 "x must have 3 numbers for each contact, or 4 with torsion and the contacts' tangential parts, and at least "
                 f"one contact; got {numbers.shape}"

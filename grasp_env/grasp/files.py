@@ -104,7 +104,7 @@ def _to_json(grasp: Grasp) -> dict[str, Any]:
         "friction": (mu[:, 0] if (mu[:, 0] == mu[:, 1]).all() else mu).tolist(),
         "contact_model": list(models.names),
     }
-    if not grasp.hard:
+    if "soft" in models.names:
         arguments["torsional_friction"] = models.torsional_friction.tolist()
     if not np.array_equal(Grasp.from_contacts(**arguments).frames, grasp.frames):
         arguments["tangents"] = grasp.frames[:, :, 1].tolist()

@@ -310,7 +310,7 @@ class Grasp:
         return rows[:, 0] - np.sqrt((rows[:, 1:] ** 2).sum(axis=1))
 
     def cone_margin(self, force: ContactForces, torsion: ArrayLike | None = None) -> float:
-        """Return the least of `cone_margins`."""
+        """Return the least of `cone_margins` of `force` [N] and `torsion` [N m]."""
         return float(self.cone_margins(force, torsion).min())
 
     @property

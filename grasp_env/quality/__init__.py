@@ -3,11 +3,10 @@
 from grasp_env.quality.closure import force_closure
 from grasp_env.quality.feasibility import feasibility
 from grasp_env.quality.measures import epsilon, quality, singular_values
-from grasp_env.quality.payload import Payload, payload
+from grasp_env.quality.payload import payload
 from grasp_env.quality.worst_wrench import WrenchBall, worst_case
 
 __all__ = [
-    "Payload",
     "WrenchBall",
     "epsilon",
     "feasibility",
