@@ -471,6 +471,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "hands": reported("hands", holds_page.grid),
     "objects": objects,
     "transfer": reported("transfer", holds_page.grid),
+    "soft": reported("soft", holds_page.grid),
     "env_speed": targets("env_speed"),
     "step_rules": step_rules,
     "layer": layer,
