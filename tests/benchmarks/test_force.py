@@ -386,7 +386,8 @@ def test_friction_and_torsion_share_a_cone(margin_of_it):
 
 
 def test_a_witness_needs_the_cone_of_both():
-    """What two contacts of at most 4.9 N cannot hold, although they could with bounds apart."""
+    """The pinch needs 5 N: a limit of 4.9 N makes it infeasible. Separate bounds on friction and
+    torsion would allow it."""
     witness = np.concatenate([-pinch.multipliers(*HELD), np.ones(2)])
     for most, proves in ((4.9, True), (5.1, False)):
         problem = Problem(**PINCH, wrench=pinch.wrench(*HELD), max_normal=np.full(2, most))

@@ -228,8 +228,10 @@ def test_axes_are_a_root_of_the_inverse_hessian(lanes, name):
 @each_kind
 @each_width
 def test_gradients_along_the_axes(lanes, name):
-    """Of squeezing and of the barrier, each with digits of its own; their squares are the Newton
-    decrements."""
+    """The gradients of squeezing and of the barrier are computed separately, so neither loses
+    digits to the other.
+
+    The sum of the squares of their sums is the squared Newton decrement."""
     p = POINTS[name]
     found = insides.axes(lanes, p.x, p.weights)[:, -4:].reshape(-1, 2, 2)
     for k, (x, w) in enumerate(each(p)):
@@ -343,9 +345,10 @@ def test_dual_near_claims_no_more_than_the_least(lanes, name, tight):
 
 @each_kind
 def test_dual_near_is_a_bound_where_it_is_loosest(name):
-    """Where the last change is hardly below `tight` r, and the ratio of the optimum any: what the
-    core subtracts must cover the fourth-order error of the value, 0.14 tight^4 of soft contacts and
-    0.19 of hard ones."""
+    """The error of the value is largest if the last Newton change is just below `tight` r.
+
+    It is of fourth order in that change: at most 0.14 tight^4 for soft contacts, and 0.19 for hard
+    ones. The core must subtract more than that, for every ratio r of the optimum."""
     kind = KINDS[name]
     tight = 1e-2
     ratios = 10.0 ** np.linspace(-3.0, 0.0, 25)

@@ -310,6 +310,40 @@ template <int D> struct Constraints {
     return out;
   }
 
+  // Scaling of a limit whose bound is far above `size` [N]: the row's size is that of the bound.
+  double row_scale(int k, double size) const {
+    return 1.0 / std::max(1.0, std::abs(bound[k]) / size);
+  }
+  // Scale the coefficients of all limits among the rows of a program.
+  template <class R, int T> void scale_rows(Rows<R, D, T>& rows, double size) const {
+    const auto scaled = [&](Tuple<R, D>& to, int k, int i) {
+      for (int a = 0; a < D; ++a) to[a] = row_scale(k, size) * limit[k][i][a];
+    };
+    for (int r = rows.equal; r < rows.joint; ++r)
+      for (int i = 0; i < count; ++i) scaled(rows.columns[rows.joint * i + r], rows.label[r], i);
+    for (auto& row : rows.own)
+      if (row.label >= 0 && row.contact < count) scaled(row.row, row.label, row.contact);
+  }
+  // Write the multipliers of the limits at an iterate, each times `scale` of its limit.
+  template <class R, int T, class F> void read_multipliers(const InteriorPoint<R, D, T>& engine,
+                                                           ArenaVector<double>& to,
+                                                           F&& scale) const {
+    const auto& rows = engine.rows;
+    const auto read = [&](int k, const R& multiplier) {
+      to[k] = scale(k) * std::max(double(multiplier), 0.0);
+    };
+    for (std::size_t k = 0; k < rows.own.size(); ++k)
+      if (rows.own[k].label >= 0) read(rows.own[k].label, engine.at.own[k]);
+    for (int r = rows.equal; r < rows.joint; ++r) read(rows.label[r], engine.at.joint[r]);
+  }
+  // The part of a force inside, with slacks `inside`, that takes one with these slacks inside.
+  static double part_inside(std::span<const double> slacks, std::span<const double> inside) {
+    double part = 0.0;
+    for (std::size_t k = 0; k < slacks.size(); ++k)
+      if (slacks[k] < 0.0) part = std::max(part, -slacks[k] / (inside[k] - slacks[k]));
+    return std::min(1.0, 1.01 * part);
+  }
+
   // Slacks of cones and of limits, less an allowance for rounding.
   template <class Bound>
   void write_slacks(const Field& z, int many, ArenaVector<double>& out, Bound&& right) const {

@@ -107,7 +107,7 @@ template <int D> class Depth {
     const Vec6 twist = in_->out_of_frame(y);
     const double per = 1.0 / std::max(grasp::size(twist), 1e-300);
     result.twist = per * twist;
-    price(engine, size);
+    in_->read_multipliers(engine, multipliers_, [&](int k) { return in_->row_scale(k, size); });
     drop_needless_multipliers(y, size);
     const bool at_rest = !(grasp::size(load) > 0.0);
     const bool proven = proves_infeasible(y, unit, size);
@@ -204,25 +204,11 @@ template <int D> class Depth {
     }
     return false;
   }
-  // Scaling of a row whose bound is far above the wrench: its size is that of the bound.
-  double row_scale(int k, double size) const {
-    return 1.0 / std::max(1.0, std::abs(in_->bound[k]) / size);
-  }
   // Slack of a limit that a unit of depth uses.
   double depth_slack(int k) const {
     double total = 1.0;
     for (int i = 0; i < in_->count; ++i) total += in_->limit[k][i][0];
     return total;
-  }
-  template <class R> void price(const InteriorPoint<R, D, 2>& engine, double size) {
-    const auto& rows = engine.rows;
-    for (const auto& row : rows.own)
-      if (row.label >= 0)
-        multipliers_[row.label] = row_scale(row.label, size) *
-                                  std::max(double(engine.at.own[&row - rows.own.data()]), 0.0);
-    for (int r = rows.equal; r < rows.joint; ++r)
-      multipliers_[rows.label[r]] =
-          row_scale(rows.label[r], size) * std::max(double(engine.at.joint[r]), 0.0);
   }
   // True if the twist y (unit frame) and the limits' multipliers prove that no force is within the
   // limits: G^T y + sum multiplier row lies in every dual cone, and y . w > sum multiplier bound.
@@ -258,31 +244,24 @@ template <int D> class Depth {
   template <class R>
   void set_up(InteriorPoint<R, D, 2>& engine, const Vec6& turned, double size) const {
     auto& at = engine.at;
+    const auto shared = [&](int k) -> Tuple<R, 2> {
+      const double part = in_->row_scale(k, size);
+      return {R(part * depth_slack(k)), R(-part * in_->bound[k] / size)};
+    };
     for (int r = 0; r < engine.rows.joint; ++r) {
       const int label = engine.rows.label[r];
       if (r < 6) engine.rows.coupling[r][1] = turned[r];
       engine.rows.right[r] = r == 6 ? 1.0 : 0.0;
-      if (label >= 0) {
-        const double part = row_scale(label, size);
-        engine.rows.coupling[r] = {R(part * depth_slack(label)),
-                                   R(-part * in_->bound[label] / size)};
-        for (int i = 0; i < in_->count; ++i)
-          for (int a = 0; a < D; ++a)
-            engine.rows.columns[engine.rows.joint * i + r][a] = part * in_->limit[label][i][a];
-      }
+      if (label >= 0) engine.rows.coupling[r] = shared(label);
       at.joint[r] = r < 7 ? 0.0 : 1.0;
       at.joint_slack[r] = 1.0;
     }
     for (int k = 0; k < int(engine.rows.own.size()); ++k) {
       auto& row = engine.rows.own[k];
-      if (row.label >= 0) {
-        const double part = row_scale(row.label, size);
-        row.shared = {R(part * depth_slack(row.label)), R(-part * in_->bound[row.label] / size)};
-        if (row.contact < in_->count)
-          for (int a = 0; a < D; ++a) row.row[a] = part * in_->limit[row.label][row.contact][a];
-      }
+      if (row.label >= 0) row.shared = shared(row.label);
       at.own[k] = at.own_slack[k] = 1.0;
     }
+    in_->scale_rows(engine.rows, size);
     at.t = {};
     for (int i = 0; i < in_->count; ++i) at.z[i] = at.s[i] = wide<R>(in_->inwards());
   }

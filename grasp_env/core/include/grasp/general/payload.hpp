@@ -109,7 +109,6 @@ template <int D> class LargestLoad {
       if (bound > NOTHING) unit = std::min(unit, bound);
     return unit < infinity ? unit : 1.0;
   }
-  double row_scale(int k) const { return 1.0 / std::max(1.0, std::abs(in_->bound[k]) / unit_); }
 
   // True if no force at all keeps the limits and holds the first wrench.
   bool rests() {
@@ -166,28 +165,18 @@ template <int D> class LargestLoad {
     const Vec6 first = in_->solve_lower((1.0 / unit_) * load_);
     auto& at = engine.at;
     auto& rows = engine.rows;
+    const auto bound = [&](int k) { return in_->row_scale(k, unit_) * in_->bound[k] / unit_; };
     for (int r = 0; r < rows.joint; ++r) {
       at.joint[r] = r < 6 ? 0.0 : 1.0;
       at.joint_slack[r] = 1.0;
-      if (r < 6) {
-        rows.coupling[r] = {R(turned[r])};
-        rows.right[r] = -first[r];
-        continue;
-      }
-      const double part = row_scale(rows.label[r]);
-      rows.right[r] = part * in_->bound[rows.label[r]] / unit_;
-      for (int i = 0; i < in_->count; ++i)
-        for (int a = 0; a < D; ++a)
-          rows.columns[rows.joint * i + r][a] = part * in_->limit[rows.label[r]][i][a];
+      if (r < 6) rows.coupling[r] = {R(turned[r])};
+      rows.right[r] = r < 6 ? -first[r] : bound(rows.label[r]);
     }
     for (int k = 0; k < int(rows.own.size()); ++k) {
-      auto& row = rows.own[k];
-      const double part = row_scale(row.label);
-      row.right = part * in_->bound[row.label] / unit_;
-      if (row.contact < in_->count)
-        for (int a = 0; a < D; ++a) row.row[a] = part * in_->limit[row.label][row.contact][a];
+      rows.own[k].right = bound(rows.own[k].label);
       at.own[k] = at.own_slack[k] = 1.0;
     }
+    in_->scale_rows(rows, unit_);
     at.t = {};
     for (int i = 0; i < in_->count; ++i) at.z[i] = at.s[i] = wide<R>(in_->inwards());
   }
@@ -204,10 +193,7 @@ template <int D> class LargestLoad {
     write_slacks(z_, slacks_);
     if (least_of(slacks_) < 0.0 && has_inside_) {
       write_slacks(inside_, slacks_inside_);
-      double part = 0.0;
-      for (std::size_t k = 0; k < slacks_.size(); ++k)
-        if (slacks_[k] < 0.0) part = std::max(part, -slacks_[k] / (slacks_inside_[k] - slacks_[k]));
-      part = std::min(1.0, 1.01 * part);
+      const double part = in_->part_inside(slacks_, slacks_inside_);
       load += part * (inside_load_ - load);
       for (int i = 0; i < in_->count; ++i)
         for (int a = 0; a < D; ++a) z_[i][a] += part * (inside_[i][a] - z_[i][a]);
@@ -244,12 +230,7 @@ template <int D> class LargestLoad {
   // Lower the bound to that of the iterate's multipliers, moved inside the dual cones if rounding
   // left them outside.
   template <class R> void lower(const InteriorPoint<R, D, 1>& engine) {
-    const auto& rows = engine.rows;
-    for (int k = 0; k < int(rows.own.size()); ++k)
-      trial_[rows.own[k].label] =
-          row_scale(rows.own[k].label) * std::max(double(engine.at.own[k]), 0.0);
-    for (int r = rows.equal; r < rows.joint; ++r)
-      trial_[rows.label[r]] = row_scale(rows.label[r]) * std::max(double(engine.at.joint[r]), 0.0);
+    in_->read_multipliers(engine, trial_, [&](int k) { return in_->row_scale(k, unit_); });
     Vec6 joint;
     for (int r = 0; r < 6; ++r) joint[r] = double(engine.at.joint[r]);
     dual_ = in_->solve_upper(joint);

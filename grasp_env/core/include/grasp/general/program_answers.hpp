@@ -17,25 +17,14 @@ inline double ProgramOn<D>::consider(const Interior<R, T>& engine) {
   }
   if (least < 0.0 && has_inside_) {  // mix with just enough of a force inside
     in_.write_slacks(inside_, kept(), slacks_inside_, right);
-    double part = 0.0;
-    for (std::size_t k = 0; k < slacks_.size(); ++k)
-      if (slacks_[k] < 0.0) part = std::max(part, -slacks_[k] / (slacks_inside_[k] - slacks_[k]));
-    part = std::min(1.0, 1.01 * part);
+    const double part = in_.part_inside(slacks_, slacks_inside_);
     for (int i = 0; i < count; ++i)
       for (int a = 0; a < D; ++a) z_[i][a] = (1.0 - part) * z_[i][a] + part * inside_[i][a];
     residual_ = grasp::size(in_.wrench_of(z_) + unit_);
     in_.write_slacks(z_, kept(), slacks_, right);
     least = least_of(slacks_);
   }
-  if constexpr (T == 0) {
-    if (of_torques()) {
-      certify_torques(engine);
-    } else {
-      certify(engine);
-    }
-  } else {
-    certify(engine);
-  }
+  certify(engine);
   double force = 0.0;
   for (int i = 0; i < count; ++i) {
     const double normal = price(i) * z_[i][0] + offset(i);
@@ -56,15 +45,12 @@ template <int D> template <class R, int T>
 inline void ProgramOn<D>::certify(const Interior<R, T>& engine) {
   const auto& rows = engine.rows;
   const auto& at = engine.at;
+  in_.read_multipliers(engine, multipliers_, [](int) { return 1.0; });
+  if constexpr (T == 0)
+    if (of_torques()) return certify_torques(engine);
   double shares = 0.0;
-  for (int k = 0; k < int(rows.own.size()); ++k) {
-    if (rows.own[k].label >= 0)
-      multipliers_[rows.own[k].label] = std::max(double(at.own[k]), 0.0);
-    else
-      shares += std::max(double(at.own[k]), 0.0);
-  }
-  for (int r = rows.equal; r < rows.joint; ++r)
-    multipliers_[rows.label[r]] = std::max(double(at.joint[r]), 0.0);
+  for (int k = 0; k < int(rows.own.size()); ++k)
+    if (rows.own[k].label < 0) shares += std::max(double(at.own[k]), 0.0);
   double theta = 1.0, paid = 0.0;
   double offset_at_end = 0.0, offset_at_safe = 0.0;  // of `Criterion::largest`
   if (elastic()) {
@@ -115,11 +101,6 @@ inline void ProgramOn<D>::certify(const Interior<R, T>& engine) {
 template <int D> template <class R>
 inline void ProgramOn<D>::certify_torques(const Interior<R, 0>& engine) {
   const auto& at = engine.at;
-  const auto& rows = engine.rows;
-  for (int k = 0; k < int(rows.own.size()); ++k)
-    multipliers_[rows.own[k].label] = std::max(double(at.own[k]), 0.0);
-  for (int r = rows.equal; r < rows.joint; ++r)
-    multipliers_[rows.label[r]] = std::max(double(at.joint[r]), 0.0);
   double value = 0.0, square = 0.0;
   Vec6 y;
   for (int r = 0; r < 6; ++r) {

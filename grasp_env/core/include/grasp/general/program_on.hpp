@@ -284,8 +284,8 @@ template <int D> class ProgramOn {
   }
   // Put the cones of the norm of the torques around those of the start.
   template <class R> void place_norm(Interior<R, 0>& engine);
-  // Raise the bound to the dual value at the multipliers for `Criterion::torque`. Forces up to
-  // most_ pay for what multipliers lack of the dual cones.
+  // The same for `Criterion::torque`, with the multipliers of the limits in place. What rounding
+  // takes from the dual cones is paid for forces of up to MOST times those of the iterate.
   template <class R> void certify_torques(const Interior<R, 0>& engine);
 
   // Balance the iterate, bring it within the limits and bound its objective; keep the best. Return
