@@ -172,17 +172,10 @@ def solve_many(optimizer: Any, loads: Array, threads: int) -> ForceSolutions:
 def solve_one(optimizer: Any, load: Array, record: Array) -> None:
     """Solve one problem into its row; if infeasible or undecided, the row has no force."""
     try:
-        record[:] = optimizer.solve(load)._record
+        solution = optimizer.solve(load)
     except (InfeasibleWrenchError, NotConvergedError) as error:
-        solution = getattr(error, "solution", None)
-        if solution is None:
-            record[:] = 0.0
-            record[at.CODE], record[at.OBJECTIVE], record[at.BOUND] = at.UNDECIDED, np.inf, -np.inf
-            record[at.CONTACTS] = optimizer.grasp.n_contacts
-            record[at.WRENCH : at.WRENCH + 6] = load
-            record[at.WRENCH_WITH_PRELOAD : at.WRENCH_WITH_PRELOAD + 6] = load
-        else:
-            record[:] = solution._record
+        solution = error.solution
+    record[:] = solution._record
 
 
 CHUNK = 4096

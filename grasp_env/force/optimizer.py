@@ -567,7 +567,8 @@ class ForceOptimizer:
         if code == UNDECIDED:
             return NotConvergedError(
                 f"neither a force nor a proof that none exists was found for wrench {load.tolist()}: forces, limits and weights are too "
-                "many decades apart, or the contacts are within rounding of losing force closure"
+                "many decades apart, or the contacts are within rounding of losing force closure",
+                solution,
             )
         try:
             grasp = touching_grasp(self.grasp, call)

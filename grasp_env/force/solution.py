@@ -150,7 +150,8 @@ class ForceSolution(Solution):
         limit_excess: largest excess of a limit as a fraction of that limit; see `elastic` of
             `ForceOptimizer`.
         objective_trace: Phi of every iterate with `trace=True`, without those of the general
-            program where it continued; else empty.
+            program where it continued; else empty. It falls with every step, except with the first
+            from a previous force, which may not balance the new wrench.
     """
 
     __slots__ = ()
