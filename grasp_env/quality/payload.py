@@ -33,7 +33,9 @@ class Payload:
 
     Attributes:
         load: the largest load, in units of `direction`; for a force of length one it is in newtons.
-        upper: certified upper bound of the load: no force holds more.
+        upper: certified upper bound of the load: no force holds more. If the limits leave some
+            forces unbounded and rounding leaves multipliers outside a dual cone, the bound holds
+            for normal forces of up to 1e4 times those of `force`.
         force: (N, 3) (normal, o, t) contact forces that hold the load [N].
         torsion: (N,) torsions of soft contacts [N m].
         wrench: (6,) the external wrench of this load, `wrench` included [N, N m].
@@ -122,7 +124,7 @@ def payload(
         exact.solve(held)  # raises, with the proof
     if code != CONVERGED:
         raise NotConvergedError(
-            f"the load along {along.tolist()} is between {load:g} and {upper:g} after {iterations} iterations: raise the tolerance "
+            f"the load along {along.tolist()} is between {load:.9g} and {upper:.9g} after {iterations} iterations: raise the tolerance "
             f"of {within:g}, or move limits or contacts that hardly hold anything"
         )
     return Payload(load, upper, force, torsion, held + load * along, twist, multipliers, iterations)

@@ -1,5 +1,6 @@
 // The largest load along a ray that contacts hold within the limits of a program.
 #pragma once
+#include <type_traits>
 #include <grasp/general/deepest.hpp>
 
 namespace grasp {
@@ -47,8 +48,9 @@ template <int D> class LargestLoad {
     tolerance_ = tolerance;
     low_ = -infinity;
     high_ = infinity;
-    has_inside_ = has_dual_inside_ = false;
+    has_inside_ = false;
     std::fill(multipliers_.begin(), multipliers_.end(), 0.0);
+    begin_inside();
     const bool reached = !in_->is_out_of_reach(along_);
     out.code = STALLED;
     if (reached && !solve<double>(out.iterations)) {
@@ -57,19 +59,10 @@ template <int D> class LargestLoad {
         out.load = unit_ * FAR / length;
         return out;
       }
+      if (!has_inside_ && !holds_first(wrench, z, out)) return out;
       solve<DoubleDouble>(out.iterations);
     }
-    if (!(low_ >= 0.0) && !rests()) {  // at most the first wrench is held
-      Depth<D> depth(*in_, in_->limits);
-      const Deepest deepest = depth.find(wrench, 1e-7, best_);
-      if (deepest.code != CONVERGED) {
-        out.code = deepest.code == INFEASIBLE ? INFEASIBLE : STALLED;
-        multipliers_ = depth.multipliers();
-        out.twist = deepest.twist;
-        return out;
-      }
-    }
-    low_ = std::max(low_, 0.0);
+    if (!(low_ >= 0.0) && !holds_first(wrench, z, out)) return out;  // at most the first wrench
     if (!(high_ < infinity)) prove_by_cones(direction, reached);
     z = best_;
     const double scale = unit_ / length;
@@ -97,7 +90,8 @@ template <int D> class LargestLoad {
   Vec6 load_{}, along_{}, y_{}, dual_{}, dual_inside_{};  // unit frame
   double unit_ = 1.0, tolerance_ = 0.0;                   // unit_: [N] of forces
   double low_ = 0.0, high_ = 0.0, inside_load_ = 0.0;
-  bool has_inside_ = false, has_dual_inside_ = false;
+  // `dual_inside_` is of the largest forces alone, not of an iterate
+  bool has_inside_ = false, has_dual_inside_ = false, bounds_all_ = false;
 
   // The size of the first wrench, or that of the tightest limit.
   double unit_of_forces() const {
@@ -110,10 +104,36 @@ template <int D> class LargestLoad {
     return unit < infinity ? unit : 1.0;
   }
 
-  // True if no force at all keeps the limits and holds the first wrench.
-  bool rests() {
-    for (auto& z : best_) z = {};
-    return size(load_) == 0.0 && std::ranges::all_of(in_->bound, [](double b) { return b >= 0.0; });
+  // If the limits bound every force, equal prices on them are strictly feasible multipliers.
+  void begin_inside() {
+    dual_inside_ = {};
+    for (int k = 0; k < in_->limits; ++k) trial_inside_[k] = in_->bound[k] > 0.0 ? 1.0 : 0.0;
+    has_dual_inside_ = bounds_all_ = dual_slack(dual_inside_, trial_inside_).least > 0.0;
+  }
+  // True if forces hold the first wrench. `best_` is one unless it holds more, and so is `inside_`
+  // if one is strictly inside. If not, write the proof.
+  bool holds_first(const double* wrench, Field& z, Payload& out) {
+    Depth<D> depth(*in_, in_->limits);
+    const Deepest deepest = depth.find(wrench, 1e-7, z);
+    const bool found = deepest.code == CONVERGED;
+    // no force at all keeps the limits and holds no wrench
+    const bool rests =
+        size(load_) == 0.0 && std::ranges::all_of(in_->bound, [](double b) { return b >= 0.0; });
+    if (!found && rests)
+      for (auto& zi : z) zi = {};
+    if (found || rests) {
+      if (!(low_ >= 0.0)) best_ = z;
+      low_ = std::max(low_, 0.0);
+      has_inside_ = found;
+      inside_load_ = 0.0;
+      for (int i = 0; i < in_->count; ++i)
+        for (int a = 0; a < D; ++a) inside_[i][a] = z[i][a] / unit_;
+      return true;
+    }
+    out.code = deepest.code == INFEASIBLE ? INFEASIBLE : STALLED;
+    multipliers_ = depth.multipliers();
+    out.twist = deepest.twist;
+    return false;
   }
   // If a twist proves that the cones alone hold no wrench along the direction, it is the bound.
   void prove_by_cones(const double* direction, bool reached) {
@@ -154,6 +174,8 @@ template <int D> class LargestLoad {
     if (!(gap() <= tolerance_)) {  // the last iterate
       raise(engine);
       lower(engine);
+      const bool last = std::is_same_v<R, DoubleDouble>;
+      if (last && !(high_ < infinity)) lower(engine, true);
     }
     iterations += engine.iterations;
     return gap() <= tolerance_ || high_ < TINY;
@@ -216,40 +238,49 @@ template <int D> class LargestLoad {
       for (int a = 0; a < D; ++a) best_[i][a] = unit_ * z_[i][a];
   }
 
-  // Smallest slack of the dual cones at multipliers of balance (unit frame) and limits.
-  double dual_slack(const Vec6& y, const ArenaVector<double>& prices) const {
-    double least = infinity;
+  // Slacks of the dual cones at multipliers of balance (unit frame) and limits: the smallest, and
+  // the sum of those below zero.
+  struct DualSlack {
+    double least = infinity, lacking = 0.0;
+  };
+  DualSlack dual_slack(const Vec6& y, const ArenaVector<double>& prices) const {
+    DualSlack out;
     for (int i = 0; i < in_->count; ++i) {
       Tuple<double, D> dual{};
       for (int r = 0; r < 6; ++r) add(dual, y[r], in_->balance[r][i]);
       for (int k = 0; k < in_->limits; ++k) add(dual, prices[k], in_->limit[k][i]);
-      least = std::min(least, slack(cone(dual)));
+      const double here = slack(cone(dual));
+      out.least = std::min(out.least, here);
+      out.lacking -= std::min(here, 0.0);
     }
-    return least;
+    return out;
   }
-  // Lower the bound to that of the iterate's multipliers, moved inside the dual cones if rounding
-  // left them outside.
-  template <class R> void lower(const InteriorPoint<R, D, 1>& engine) {
+  // Lower the bound to that of the iterate's multipliers. If rounding left them outside the dual
+  // cones, they are moved inside. Without multipliers inside there is no bound, unless it `pays` for
+  // what they lack: then it holds for normal forces of up to FARTHEST times those of the iterate.
+  template <class R> void lower(const InteriorPoint<R, D, 1>& engine, bool pays = false) {
     in_->read_multipliers(engine, trial_, [&](int k) { return in_->row_scale(k, unit_); });
     Vec6 joint;
     for (int r = 0; r < 6; ++r) joint[r] = double(engine.at.joint[r]);
     dual_ = in_->solve_upper(joint);
-    const double outside = dual_slack(dual_, trial_);
-    if (outside < 0.0) {
-      if (!has_dual_inside_) return;
-      const double room = dual_slack(dual_inside_, trial_inside_);
-      const double part = std::min(1.0, -1.01 * outside / (room - outside));
+    DualSlack now = dual_slack(dual_, trial_);
+    if (now.least < 0.0 && has_dual_inside_) {
+      const double room = dual_slack(dual_inside_, trial_inside_).least;
+      const double part = std::min(1.0, -1.01 * now.least / (room - now.least));
       dual_ = dual_ + part * (dual_inside_ - dual_);
       for (int k = 0; k < in_->limits; ++k) trial_[k] += part * (trial_inside_[k] - trial_[k]);
-      if (!(dual_slack(dual_, trial_) >= 0.0)) return;
-    } else if (outside > 0.0) {
+      now = dual_slack(dual_, trial_);
+    } else if (now.least > 0.0 && !bounds_all_) {
       dual_inside_ = dual_;
       trial_inside_ = trial_;
       has_dual_inside_ = true;
     }
+    double most = 1.0;
+    for (int i = 0; i < in_->count; ++i) most = std::max(most, double(engine.at.z[i][0]));
+    if (!(now.least >= 0.0 || pays)) return;
     const double per = dot(dual_, along_);
     if (!(per > 0.0)) return;
-    double bound = -dot(dual_, load_) / unit_;
+    double bound = now.lacking * in_->FARTHEST * most - dot(dual_, load_) / unit_;
     for (int k = 0; k < in_->limits; ++k) bound += trial_[k] * in_->bound[k] / unit_;
     bound /= per;
     if (!(bound < high_)) return;

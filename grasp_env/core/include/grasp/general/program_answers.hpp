@@ -120,7 +120,7 @@ inline void ProgramOn<D>::certify_torques(const Interior<R, 0>& engine) {
     for (int r = 0; r < 6; ++r) add(end, y[r], in_.turn[r][i]);
     for (int j = 0; j < in_.joints; ++j) add(end, double(at.joint[6 + j]), in_.torque[j][i]);
     for (int k = 0; k < limits; ++k) add(end, multipliers_[k], in_.limit[k][i]);
-    value -= std::max(-slack(cone(end)), 0.0) * MOST * most;
+    value -= std::max(-slack(cone(end)), 0.0) * in_.FARTHEST * most;
   }
   // the multipliers of the torques have at most length one
   const double theta = square > 0.0 ? 1.0 / std::sqrt(square) : 0.0;

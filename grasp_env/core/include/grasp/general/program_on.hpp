@@ -94,8 +94,6 @@ template <int D> class ProgramOn {
   static constexpr double ROUNDED = 1e-15;
   // Smallest margin of an internal force; less would take millions of newtons.
   static constexpr double DEEP = 1e-6;
-  // Bound of the normal forces for an excess, relative to the largest one of the start.
-  static constexpr double MOST = 1e4;
   // of the forces: norms of torques below it count as zero
   static constexpr double NO_TORQUE = 1e-9;
   static constexpr double BEGIN = 1.5;  // of a start's excess: initial increase of the limits
@@ -285,7 +283,7 @@ template <int D> class ProgramOn {
   // Put the cones of the norm of the torques around those of the start.
   template <class R> void place_norm(Interior<R, 0>& engine);
   // The same for `Criterion::torque`, with the multipliers of the limits in place. What rounding
-  // takes from the dual cones is paid for forces of up to MOST times those of the iterate.
+  // takes from the dual cones is paid for forces of up to FARTHEST times those of the iterate.
   template <class R> void certify_torques(const Interior<R, 0>& engine);
 
   // Balance the iterate, bring it within the limits and bound its objective; keep the best. Return

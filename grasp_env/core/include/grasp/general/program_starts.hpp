@@ -10,7 +10,7 @@ inline void ProgramOn<D>::raise(Interior<R, 1>& engine, const Field& z) {
   most_ = 1.0;
   best_bound_ = 0.0;
   for (int i = 0; i < count; ++i) most_ = std::max(most_, price(i) * z[i][0]);
-  most_ *= MOST;
+  most_ *= in_.FARTHEST;
   const auto raise = [&](Tuple<R, 1>& shared, int label) {
     if (label >= 0) shared[0] = -excess_unit_ * in_.shares[label] / size_;
   };
