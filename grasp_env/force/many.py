@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from grasp_env.errors import InfeasibleWrenchError, NotConvergedError
 from grasp_env.force import record as at
+from grasp_env.force.margin import ShiftedProblem
 from grasp_env.force.solution import STATUSES, ForceSolution, Names, Status
 from grasp_env.inputs import ranges
 from grasp_env.inputs.arguments import AllFaults, Array, as_array, checked_size, whole
@@ -175,7 +176,18 @@ def solve_one(optimizer: Any, load: Array, record: Array) -> None:
         solution = optimizer.solve(load)
     except (InfeasibleWrenchError, NotConvergedError) as error:
         solution = error.solution
-    record[:] = solution._record
+    if solution is not None:
+        record[:] = solution._record
+        return
+    count, limits = optimizer.grasp.n_contacts, len(optimizer.limit_labels)  # a rule raised it
+    preload = optimizer.margin.preloads(count)
+    record[:] = 0.0
+    record[at.CODE], record[at.OBJECTIVE], record[at.BOUND] = at.UNDECIDED, np.inf, -np.inf
+    record[at.CONTACTS], record[at.LIMITS] = count, limits
+    record[at.JOINTS] = len(record) - at.FORCE - 17 * count - limits
+    record[at.WRENCH : at.WRENCH + 6] = load
+    shifted = ShiftedProblem.of(optimizer.grasp, load, preload)
+    record[at.WRENCH_WITH_PRELOAD : at.WRENCH_WITH_PRELOAD + 6] = shifted.wrench
 
 
 CHUNK = 4096

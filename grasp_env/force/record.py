@@ -23,6 +23,9 @@ REPLACED = _AT["replaced"]
 OUTSIDE = _AT["outside"]
 CONTACTS = _AT["contacts"]
 """Offset of N; those above are of the outcome, the certificates and the start."""
+JOINTS = _AT["joints"]
+LIMITS = _AT["limits"]
+"""Offsets of the numbers of torques and of limits."""
 WRENCH = _AT["wrench"]
 """Offset of the balanced wrench, 6 numbers."""
 WRENCH_WITH_PRELOAD = _AT["wrench_with_preload"]

@@ -17,7 +17,14 @@ from force.named import attempt
 from problems import random_grasp
 
 from grasp_env.errors import InfeasibleWrenchError, NotConvergedError, RankDeficientGraspError
-from grasp_env.force import ForceLimits, ForceOptimizer, Status, optimize_force, optimize_forces
+from grasp_env.force import (
+    ForceLimits,
+    ForceOptimizer,
+    Margin,
+    Status,
+    optimize_force,
+    optimize_forces,
+)
 from grasp_env.force.many import CHUNK
 from grasp_env.force.record import INFEASIBLE, RANK_LOST, UNDECIDED
 from grasp_env.grasp import Grasp, presets
@@ -192,6 +199,34 @@ def test_what_a_rule_leaves_undecided_is_no_optimum(error):
         best = optimize_forces(GRASP, loads[~lost]).objective
         np.testing.assert_allclose(batch.objective[~lost], best, rtol=2e-4)  # twice the tolerance
     assert batch[int(np.flatnonzero(lost)[0])].optimality_gap == np.inf
+
+
+def test_an_undecided_problem_keeps_its_sizes():
+    jacobian = np.full((4, 3, 2), 0.05)
+    options = {
+        "limits": ForceLimits(max_normal=1e3, jacobian=jacobian, torque_limit=[np.inf, 1e3]),
+        "margin": Margin(0.8, 0.5),
+    }
+
+    def rule(grasp: Grasp, load: np.ndarray) -> np.ndarray:
+        raise NotConvergedError("no start")
+
+    slight = Grasp.from_contacts(  # a torsional friction of rounding
+        [[-0.02, 0, 0], [0.02, 0, 0]],
+        [[1, 0, 0], [-1, 0, 0]],
+        0.5,
+        contact_model="soft",
+        torsional_friction=1e-12,
+    )
+    load = np.array([0.0, 0.0, -1.0, -5e-12, 0.0, 0.0])
+    by_core = optimize_forces([slight], load[None], limits=ForceLimits(max_normal=2.0))
+    by_rule = optimize_forces([GRASP], load[None], initial=rule, **options)
+    for batch, limits, joints in ((by_core, 2, 0), (by_rule, 6, 2)):
+        assert batch.codes.tolist() == [UNDECIDED]
+        assert (batch[0].limit_multipliers.size, batch[0].torques.size) == (limits, joints)
+        np.testing.assert_array_equal(batch[0].wrench, load)
+    preloaded = load + 0.5 * GRASP.matrix[:, ::3].sum(axis=1)
+    np.testing.assert_allclose(by_rule[0].wrench_with_preload, preloaded)
 
 
 @pytest.mark.parametrize(
