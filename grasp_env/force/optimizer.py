@@ -91,9 +91,9 @@ class ForceOptimizer:
             the named start may not exist; "phase_one" then replaces it.
         criterion: what "conic" minimises: the "sum" or the "max" of the normal forces, each times
             its `force_weight`, or "torque", the norm of the joint torques of `limits` [N m],
-            torque_bias included. Joints without a limit have torque_limit=inf. Where rounding
-            leaves multipliers outside a dual cone, the bound of "torque" holds for normal forces of
-            up to 1e4 times those of the solution.
+            torque_bias included, without force_weight. Joints without a limit have
+            torque_limit=inf. Where rounding leaves multipliers outside a dual cone, the bound of
+            "torque" holds for normal forces of up to 1e4 times those of the solution.
         limits: a `ForceLimits` on normal forces and joint torques, for "newton" and "conic".
         margin: how far forces stay inside the friction cones, a `Margin` or its share of friction;
             None: up to the cones. The optimum lies close to the margin, so an error of friction or

@@ -19,7 +19,7 @@ DESCENTS = (*FLOWS, "newton")
 METHODS = (*DESCENTS, "conic")
 """Names of all methods. `conic` takes no start."""
 CRITERIA = ("sum", "max", "torque")
-"""Objectives of `conic`, on the normal forces times their force_weight."""
+"""Objectives of `conic`: of the normal forces times their force_weight, or of the joint torques."""
 MAX_ITERATIONS = 20_000
 """Default largest number of accepted steps."""
 TOLERANCE = 1e-4
@@ -78,6 +78,10 @@ def _checked(
     if options.criterion != "sum" and options.method != "conic":
         raise UnsupportedProblemError(
             f"criterion {criterion!r} belongs to method 'conic', got method {options.method!r}"
+        )
+    if options.criterion == "torque" and options.objective.force_weight != 1.0:
+        raise UnsupportedProblemError(
+            f"criterion 'torque' has no weights of normal forces, got force_weight={shown(force_weight)}: leave it out"
         )
     if step_rule is not None and not options.flows:
         raise UnsupportedProblemError(

@@ -39,6 +39,8 @@ DISTANCE = 1e5
 """Largest distance of a grasp from the origin, in its lengths: moments lose as many digits."""
 SIZE = Range(-1e50, 1e50)
 """Numbers that are only multiplied: products of six of them do not overflow."""
+DIRECTION = Range(1e-100, 1e12)
+"""Largest components of directions whose multiples are loads."""
 SIDE_BY_SIDE = 100_000_000
 """Most contacts that `Objective` takes at once, which are those of many grasps."""
 MASS = Range(1e-9, 1e9, "kg")

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from grasp_env import core
 from grasp_env.errors import InvalidInputError, NotConvergedError, UnsupportedProblemError
-from grasp_env.force.limits import ForceLimits, as_limits, core_limits
-from grasp_env.force.margin import Margin, as_margin
+from grasp_env.force.limits import ForceLimits
+from grasp_env.force.margin import Margin
 from grasp_env.force.optimizer import ForceOptimizer
 from grasp_env.force.record import CONVERGED, INFEASIBLE
-from grasp_env.grasp.grasp import Grasp, as_grasp
+from grasp_env.grasp.grasp import Grasp
 from grasp_env.inputs import ranges
 from grasp_env.inputs.arguments import (
     Array,
@@ -33,6 +31,7 @@ class Payload:
 
     Attributes:
         load: the largest load, in units of `direction`; for a force of length one it is in newtons.
+            All loads from zero to this one are held.
         upper: certified upper bound of the load: no force holds more. If the limits leave some
             forces unbounded and rounding leaves multipliers outside a dual cone, the bound holds
             for normal forces of up to 1e4 times those of `force`.
@@ -71,13 +70,14 @@ def payload(
     """Return the largest load along `direction` that the contacts hold within all limits.
 
     It is the supremum of the k >= 0 for which a force inside the friction cones, the margin and the
-    limits balances wrench + k direction: a cone program in the forces and k. The motors' torques
-    include `torque_bias`.
+    limits balances wrench + k direction: a cone program in the forces and k. `wrench` alone, k = 0,
+    must be held. The motors' torques include `torque_bias`.
 
     Args:
         grasp: the contacts, of any models.
         direction: (3,) force at the origin of the contacts' frame, or (6,) screw [force; moment];
-            the load is a multiple of it, so give a force the length one for newtons.
+            the load is a multiple of it, so give a force the length one for newtons. Its largest
+            component is 1e-100 to 1e12.
         limits: limits on normal forces and joint torques. Without them a grasp with force closure
             holds any load.
         margin: how far forces stay inside the friction cones, a `Margin` or its share of friction.
@@ -90,7 +90,8 @@ def payload(
             error has the solution with the proof.
         UnsupportedProblemError: the limits do not bound the load.
         NotConvergedError: neither a load nor a bound was found to the tolerance.
-        InvalidInputError: a direction of zero, another shape, or a number out of range.
+        InvalidInputError: a direction of zero, another shape, a number out of range, or a preload
+            that reaches `max_normal`.
 
     Example:
         >>> from grasp_env.force import ForceLimits
@@ -99,19 +100,14 @@ def payload(
         >>> round(lift.load, 3), round(lift.upper, 3)   # three contacts with friction 0.5
         (12.0, 12.0)
     """
-    as_grasp(grasp)
-    limits, margin = as_limits(limits), as_margin(margin)
+    solver = ForceOptimizer(grasp, method="conic", limits=limits, margin=margin)
     along = _screw(direction)
     held = np.zeros(6) if wrench is None else as_wrench(wrench)
     within = positive(tolerance, "tolerance", ranges.TOLERANCE)
     count = grasp.n_contacts
-    problem = core.Problem(
-        grasp.contacts, None, core_limits(limits, count), margin if margin else None
-    )
-    multipliers = np.empty(0 if limits is None else len(limits.rows(grasp).bound))
     force, torsion, twist = np.empty((count, 3)), np.empty(count), np.empty(6)
-    solver: Any = core.ForceOptimizer(problem)
-    code, iterations, unbounded, load, upper = solver.payload(
+    multipliers = np.empty(len(solver.limit_labels))
+    code, iterations, unbounded, load, upper = solver.core.payload(
         along, held, within, force, torsion, twist, multipliers
     )
     if unbounded:
@@ -120,8 +116,7 @@ def payload(
             "every force against it reaches, such as ForceLimits(max_normal=...) or torque limits of all fingers"
         )
     if code == INFEASIBLE:
-        exact = ForceOptimizer(grasp, method="conic", limits=limits, margin=margin)
-        exact.solve(held)  # raises, with the proof
+        solver.solve(held)  # raises, with the proof
     if code != CONVERGED:
         raise NotConvergedError(
             f"the load along {along.tolist()} is between {load:.9g} and {upper:.9g} after {iterations} iterations: raise the tolerance "
@@ -139,8 +134,8 @@ def _screw(direction: ArrayLike) -> Array:
         )
     screw = np.zeros(6)
     screw[: len(numbers)] = numbers
-    if not np.abs(screw).max() > 0.0:
+    if not np.abs(screw).max() >= ranges.DIRECTION.low:
         raise InvalidInputError(
-            "direction must not be zero: give the force or screw of a unit load"
+            f"the largest component of direction must be {ranges.DIRECTION}, got {screw.tolist()}: give the force or screw of a unit load"
         )
     return screw

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from itertools import pairwise
 
+import _core_test as insides
 import numpy as np
 import pytest
 from cases import FIELDS, REFUSED, START, Case, at, case, nu_of
@@ -231,6 +232,27 @@ def test_starts_are_balanced_and_inside(count, name):
         solved, _ = solver.solve(load, START[name])
         np.testing.assert_allclose(c.z(solved, "initial"), x, rtol=0, atol=1e-12 * size)
         check(c, load, solved, 1e-9)
+
+
+@pytest.mark.parametrize(
+    ("torsion", "accepted"), [(0.0, True), (0.0239, True), (0.0241, False), (0.05, False)]
+)
+def test_a_given_torsion_is_inside_the_cone_or_refused(torsion, accepted):
+    # at 10 N, 4 N of shear are 4/5 of the cone; 3/5 of the torsion 0.04 N m are left beside it
+    jaw = insides.place(
+        np.array([[-0.02, 0, 0], [0.02, 0, 0]]),
+        np.array([[1.0, 0, 0], [-1.0, 0, 0]]),
+        np.tile([0.5, 1.0, 1.0], (2, 1)),
+        np.tile([1.0, 0.01], (2, 1)),
+        torsion=np.full(2, 0.004),
+    )
+    solver = insides.AnyOptimizer.make(jaw, tolerance=1e-8)
+    load = np.array([0, 0, -8.0, 0, 0, 0])
+    row, _ = solver.solve(load)
+    force = row[FIELDS["force"] :][:6].reshape(2, 3)
+    force[:, 0] = 10.0
+    row, _ = solver.solve(load, START["given"], force=force, torsion=np.full(2, torsion))
+    assert (at(row, "code") != REFUSED) == accepted
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -174,8 +174,8 @@ PyGetSetDef read[] = {
     property("iterations", whole<&Summary::iterations>, "Accepted steps."),
     property("trials", whole<&Summary::trials>, "All steps tried, rejected ones included."),
     property("objective", number<&Summary::objective>,
-             "Phi of `force`; for `conic` the sum or maximum of the normal forces [N]; "
-             "`limit_excess` if that is > 0."),
+             "Phi of `force`; for `conic` the sum or maximum of the normal forces [N], or the norm of "
+             "the joint torques [N m]; `limit_excess` if that is > 0."),
     property("lower_bound", number<&Summary::lower_bound>,
              "A dual bound: no balanced force has a smaller objective (-inf: none); or the given "
              "`optimum`."),
@@ -183,8 +183,8 @@ PyGetSetDef read[] = {
              "Largest |component| of G f + w [N], moments about the contacts' centre over the "
              "grasp's length."),
     property("cone_margin", number<&Summary::margin>,
-             "Smallest mu * normal - |tangential| of the contacts [N], in cone coordinates and "
-             "within the problem's margin; > 0: strictly inside."),
+             "Smallest mu * normal - |tangential| of the contacts [N], torsion included, in cone "
+             "coordinates and within the problem's margin; > 0: strictly inside."),
     property("limit_excess", number<&Summary::limit_excess>,
              "Largest excess of a limit, as a fraction of it; 0: all are kept. See `elastic` of "
              "`optimize_force`."),

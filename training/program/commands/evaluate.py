@@ -47,7 +47,8 @@ class Evaluate:
         timed: starts: number of wrenches whose calls are timed.
         repeats: starts: number of times each of those calls is timed.
         episodes: episodes per random scenario, or per main scenario; 0: 10 for starts, 500 for env,
-            100 for env --hands, 10 with --objects, 300 for transfer, 200 in each engine for soft.
+            100 for env --hands, 10 with --objects, 300 for transfer, 200 for each engine and margin
+            for soft.
         steps: starts: steps of each roll-out, at 50 per second.
         start: starts: your own starts to compare with the others, each NAME=module:rule,
             NAME=file.py:rule or NAME=path of a saved model. A rule takes (grasp, wrench) and

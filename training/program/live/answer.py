@@ -94,7 +94,8 @@ def answer(
         words = "The load moves the object along the red screw; no finger can push against that within its friction cone. "
         words += _remedy(grasp, wrench)
         return Answer("bad", "cannot be held", words, twist=error.solution.certificate)
-    columns = {"normal, N": solution.force[:, 0], "margin, N": grasp.cone_margins(solution.force)}
+    margins = grasp.cone_margins(solution.force, solution.torsion)
+    columns = {"normal, N": solution.force[:, 0], "margin, N": margins}
     facts = {
         "total normal force": f"{solution.total_normal_force:.2f} N",
         "iterations": f"{solution.iterations} from {solution.initial}",

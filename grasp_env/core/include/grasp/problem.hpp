@@ -37,7 +37,8 @@ inline double cost_of_normal_force(Method method, double omega, double scale) {
 
 struct Options {
   Method method = Method::newton;
-  Criterion criterion = Criterion::sum;  // of omega times normal force, for Method::conic
+  // Method::conic: sum or largest of omega times normal force, or the norm of the joint torques
+  Criterion criterion = Criterion::sum;
   Start start = Start::standard;
   double tolerance = 0.0;  // relative certified gap, at most 1; 0: 1e-4, or 1e-6 for Method::conic
   int limit = 20000;       // largest number of accepted steps

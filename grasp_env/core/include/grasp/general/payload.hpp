@@ -5,9 +5,10 @@
 
 namespace grasp {
 
-// The loads `wrench + k direction` that forces hold, k >= 0. CONVERGED: the largest k is `load`, to
-// the tolerance. INFEASIBLE: no force holds the wrench alone, as `twist` proves. STALLED: neither
-// bound nor proof; unbounded: no bound was found, and `load` is far above the limits.
+// The loads `wrench + k direction` that forces hold, from k = 0 on. CONVERGED: the largest k is
+// `load`, to the tolerance, and all below are held. INFEASIBLE: no force holds the wrench alone, as
+// `twist` proves. STALLED: neither bound nor proof; unbounded: no bound was found, and `load` is far
+// above the limits.
 struct Payload {
   Code code = REFUSED;
   int iterations = 0;
@@ -32,9 +33,11 @@ template <int D> class LargestLoad {
         z_(in.count),
         inside_(in.count),
         best_(in.count),
-        trial_(in.limits),
-        trial_inside_(in.limits),
-        multipliers_(in.limits) {}
+        multipliers_(in.limits),
+        now_(in.limits),
+        mixed_(in.limits),
+        of_limits_(in.limits),
+        latest_(in.limits) {}
 
   // Write a force that holds the load into z [N].
   Payload find(const double* direction, const double* wrench, double tolerance, Field& z) {
@@ -44,25 +47,29 @@ template <int D> class LargestLoad {
     if (!(length > NOTHING && length <= LARGEST)) return out;
     load_ = in_->in_frame(wrench);
     along_ = (1.0 / length) * along;
-    unit_ = unit_of_forces();
+    set_units();
     tolerance_ = tolerance;
     low_ = -infinity;
     high_ = infinity;
-    has_inside_ = false;
+    has_inside_ = latest_.inside = first_held_ = false;
     std::fill(multipliers_.begin(), multipliers_.end(), 0.0);
-    begin_inside();
+    price_limits();
     const bool reached = !in_->is_out_of_reach(along_);
     out.code = STALLED;
+    if (!holds_first(wrench, z, out)) return out;
     if (reached && !solve<double>(out.iterations)) {
-      out.unbounded = holds_far_load(z);
+      out.unbounded = !of_limits_.inside && holds_far_load(z);
       if (out.unbounded) {
-        out.load = unit_ * FAR / length;
+        out.load = far_ / length;
         return out;
       }
-      if (!has_inside_ && !holds_first(wrench, z, out)) return out;
+      if (!has_inside_) {
+        Depth<D> depth(*in_, in_->limits);
+        find_inside(depth, wrench, z);
+      }
       solve<DoubleDouble>(out.iterations);
     }
-    if (!(low_ >= 0.0) && !holds_first(wrench, z, out)) return out;  // at most the first wrench
+    if (!(low_ >= 0.0) && first_held_) low_ = 0.0;
     if (!(high_ < infinity)) prove_by_cones(direction, reached);
     z = best_;
     const double scale = unit_ / length;
@@ -79,61 +86,81 @@ template <int D> class LargestLoad {
 
  private:
   static constexpr double TINY = 1e-9;  // loads below, in units of forces, count as none
-  static constexpr double FAR = 1e6;    // a load held above this, without a bound, has none
+  static constexpr double FAR = 1e6;    // a load this far above all limits has no bound
   static constexpr int ITERATIONS = 100;
+  // Multipliers of balance (unit frame) and of the limits; inside: strictly inside the dual cones.
+  struct Prices {
+    Vec6 y{};
+    ArenaVector<double> limits;
+    bool inside = false;
+
+    explicit Prices(int count) : limits(count) {}
+  };
   const Constraints<D>* in_;
   ArenaVector<double> slacks_, slacks_inside_;
   // force of the iterate, of one strictly inside, and of the largest load so far [N]
   Field z_, inside_, best_;
-  // multipliers of the limits: of the iterate, of a strictly feasible one, of the best bound
-  ArenaVector<double> trial_, trial_inside_, multipliers_;
-  Vec6 load_{}, along_{}, y_{}, dual_{}, dual_inside_{};  // unit frame
-  double unit_ = 1.0, tolerance_ = 0.0;                   // unit_: [N] of forces
+  ArenaVector<double> multipliers_;  // of the best bound
+  // of the iterate, mixed, of the limits alone, of the latest iterate inside
+  Prices now_, mixed_, of_limits_, latest_;
+  Vec6 load_{}, along_{}, y_{};  // unit frame
+  double unit_ = 1.0, far_ = 0.0, tolerance_ = 0.0;  // unit_: [N] of forces; far_ [N]
   double low_ = 0.0, high_ = 0.0, inside_load_ = 0.0;
-  // `dual_inside_` is of the largest forces alone, not of an iterate
-  bool has_inside_ = false, has_dual_inside_ = false, bounds_all_ = false;
+  bool has_inside_ = false;
+  bool first_held_ = false;  // a force that holds the first wrench is known
 
-  // The size of the first wrench, or that of the tightest limit.
-  double unit_of_forces() const {
-    double unit = size(load_);
-    for (double bound : in_->bound) unit = std::max(unit, -bound);
-    if (unit > NOTHING) return unit;
-    unit = infinity;
-    for (double bound : in_->bound)
-      if (bound > NOTHING) unit = std::min(unit, bound);
-    return unit < infinity ? unit : 1.0;
-  }
-
-  // If the limits bound every force, equal prices on them are strictly feasible multipliers.
-  void begin_inside() {
-    dual_inside_ = {};
-    for (int k = 0; k < in_->limits; ++k) trial_inside_[k] = in_->bound[k] > 0.0 ? 1.0 : 0.0;
-    has_dual_inside_ = bounds_all_ = dual_slack(dual_inside_, trial_inside_).least > 0.0;
-  }
-  // True if forces hold the first wrench. `best_` is one unless it holds more, and so is `inside_`
-  // if one is strictly inside. If not, write the proof.
-  bool holds_first(const double* wrench, Field& z, Payload& out) {
-    Depth<D> depth(*in_, in_->limits);
-    const Deepest deepest = depth.find(wrench, 1e-7, z);
-    const bool found = deepest.code == CONVERGED;
-    // no force at all keeps the limits and holds no wrench
-    const bool rests =
-        size(load_) == 0.0 && std::ranges::all_of(in_->bound, [](double b) { return b >= 0.0; });
-    if (!found && rests)
-      for (auto& zi : z) zi = {};
-    if (found || rests) {
-      if (!(low_ >= 0.0)) best_ = z;
-      low_ = std::max(low_, 0.0);
-      has_inside_ = found;
-      inside_load_ = 0.0;
+  // unit_: the larger one of the first wrench and the tightest limit. far_: beyond all limits.
+  void set_units() {
+    unit_ = size(load_);
+    double tightest = infinity, widest = 0.0;
+    for (int k = 0; k < in_->limits; ++k) {
+      double lever = 0.0;
       for (int i = 0; i < in_->count; ++i)
-        for (int a = 0; a < D; ++a) inside_[i][a] = z[i][a] / unit_;
+        for (double part : in_->limit[k][i]) lever = std::max(lever, std::abs(part));
+      const double force = in_->bound[k] / lever;
+      if (!(std::abs(force) <= LARGEST)) continue;  // not of these contacts
+      widest = std::max(widest, std::abs(force));
+      if (force > NOTHING) tightest = std::min(tightest, force);
+      unit_ = std::max(unit_, -force);
+    }
+    if (tightest < infinity) unit_ = std::max(unit_, tightest);
+    if (!(unit_ > NOTHING)) unit_ = 1.0;
+    far_ = FAR * std::max(unit_, widest);
+  }
+
+  // If the limits bound every force, equal prices on them are inside the dual cones.
+  void price_limits() {
+    for (int k = 0; k < in_->limits; ++k) of_limits_.limits[k] = in_->bound[k] > 0.0 ? 1.0 : 0.0;
+    of_limits_.inside = dual_slack(of_limits_).least > 0.0;
+  }
+  // True unless a proof shows that no force holds the first wrench. `best_` is one that does, if one
+  // was found.
+  bool holds_first(const double* wrench, Field& z, Payload& out) {
+    if (size(load_) == 0.0 && std::ranges::all_of(in_->bound, [](double b) { return b >= 0.0; })) {
+      for (auto& zi : best_) zi = {};
+      first_held_ = true;
       return true;
     }
-    out.code = deepest.code == INFEASIBLE ? INFEASIBLE : STALLED;
-    multipliers_ = depth.multipliers();
-    out.twist = deepest.twist;
-    return false;
+    Depth<D> depth(*in_, in_->limits);
+    const Deepest deepest = find_inside(depth, wrench, z);
+    if (deepest.code == INFEASIBLE) {
+      out.code = INFEASIBLE;
+      out.twist = deepest.twist;
+      multipliers_ = depth.multipliers();
+      return false;
+    }
+    first_held_ = has_inside_;
+    if (has_inside_) best_ = z;
+    return true;
+  }
+  // Look for a force strictly inside that holds the first wrench.
+  Deepest find_inside(Depth<D>& depth, const double* wrench, Field& z) {
+    const Deepest deepest = depth.find(wrench, 1e-7, z);
+    has_inside_ = deepest.code == CONVERGED;
+    inside_load_ = 0.0;
+    for (int i = 0; i < in_->count; ++i)
+      for (int a = 0; a < D; ++a) inside_[i][a] = z[i][a] / unit_;
+    return deepest;
   }
   // If a twist proves that the cones alone hold no wrench along the direction, it is the bound.
   void prove_by_cones(const double* direction, bool reached) {
@@ -154,7 +181,7 @@ template <int D> class LargestLoad {
   }
   // True if a load of FAR is held, by the force in z [N].
   bool holds_far_load(Field& z) {
-    const Vec6 far = in_->out_of_unit(load_ + unit_ * FAR * along_);
+    const Vec6 far = in_->out_of_unit(load_ + far_ * along_);
     return Depth<D>(*in_, in_->limits).find(far.data(), 1e-7, z).code == CONVERGED;
   }
 
@@ -243,12 +270,12 @@ template <int D> class LargestLoad {
   struct DualSlack {
     double least = infinity, lacking = 0.0;
   };
-  DualSlack dual_slack(const Vec6& y, const ArenaVector<double>& prices) const {
+  DualSlack dual_slack(const Prices& at) const {
     DualSlack out;
     for (int i = 0; i < in_->count; ++i) {
       Tuple<double, D> dual{};
-      for (int r = 0; r < 6; ++r) add(dual, y[r], in_->balance[r][i]);
-      for (int k = 0; k < in_->limits; ++k) add(dual, prices[k], in_->limit[k][i]);
+      for (int r = 0; r < 6; ++r) add(dual, at.y[r], in_->balance[r][i]);
+      for (int k = 0; k < in_->limits; ++k) add(dual, at.limits[k], in_->limit[k][i]);
       const double here = slack(cone(dual));
       out.least = std::min(out.least, here);
       out.lacking -= std::min(here, 0.0);
@@ -259,34 +286,42 @@ template <int D> class LargestLoad {
   // cones, they are moved inside. Without multipliers inside there is no bound, unless it `pays` for
   // what they lack: then it holds for normal forces of up to FARTHEST times those of the iterate.
   template <class R> void lower(const InteriorPoint<R, D, 1>& engine, bool pays = false) {
-    in_->read_multipliers(engine, trial_, [&](int k) { return in_->row_scale(k, unit_); });
+    in_->read_multipliers(engine, now_.limits, [&](int k) { return in_->row_scale(k, unit_); });
     Vec6 joint;
     for (int r = 0; r < 6; ++r) joint[r] = double(engine.at.joint[r]);
-    dual_ = in_->solve_upper(joint);
-    DualSlack now = dual_slack(dual_, trial_);
-    if (now.least < 0.0 && has_dual_inside_) {
-      const double room = dual_slack(dual_inside_, trial_inside_).least;
-      const double part = std::min(1.0, -1.01 * now.least / (room - now.least));
-      dual_ = dual_ + part * (dual_inside_ - dual_);
-      for (int k = 0; k < in_->limits; ++k) trial_[k] += part * (trial_inside_[k] - trial_[k]);
-      now = dual_slack(dual_, trial_);
-    } else if (now.least > 0.0 && !bounds_all_) {
-      dual_inside_ = dual_;
-      trial_inside_ = trial_;
-      has_dual_inside_ = true;
+    now_.y = in_->solve_upper(joint);
+    const DualSlack now = dual_slack(now_);
+    if (now.least >= 0.0 || pays) {
+      double most = 1.0;
+      for (int i = 0; i < in_->count; ++i) most = std::max(most, double(engine.at.z[i][0]));
+      bound_by(now_, now.lacking * in_->FARTHEST * most);
     }
-    double most = 1.0;
-    for (int i = 0; i < in_->count; ++i) most = std::max(most, double(engine.at.z[i][0]));
-    if (!(now.least >= 0.0 || pays)) return;
-    const double per = dot(dual_, along_);
+    if (now.least > 0.0) {
+      latest_ = now_;
+      latest_.inside = true;
+    }
+    if (now.least >= 0.0) return;
+    for (const Prices* inside : {&of_limits_, &latest_}) {
+      if (!inside->inside) continue;
+      const double room = dual_slack(*inside).least;
+      const double part = std::min(1.0, -1.01 * now.least / (room - now.least));
+      mixed_.y = now_.y + part * (inside->y - now_.y);
+      for (int k = 0; k < in_->limits; ++k)
+        mixed_.limits[k] = now_.limits[k] + part * (inside->limits[k] - now_.limits[k]);
+      if (dual_slack(mixed_).least >= 0.0) bound_by(mixed_, 0.0);
+    }
+  }
+  // Lower the bound to that of multipliers, plus what it pays.
+  void bound_by(const Prices& prices, double paid) {
+    const double per = dot(prices.y, along_);
     if (!(per > 0.0)) return;
-    double bound = now.lacking * in_->FARTHEST * most - dot(dual_, load_) / unit_;
-    for (int k = 0; k < in_->limits; ++k) bound += trial_[k] * in_->bound[k] / unit_;
+    double bound = paid - dot(prices.y, load_) / unit_;
+    for (int k = 0; k < in_->limits; ++k) bound += prices.limits[k] * in_->bound[k] / unit_;
     bound /= per;
     if (!(bound < high_)) return;
     high_ = bound;
-    y_ = (1.0 / per) * dual_;
-    for (int k = 0; k < in_->limits; ++k) multipliers_[k] = trial_[k] / per;
+    y_ = (1.0 / per) * prices.y;
+    for (int k = 0; k < in_->limits; ++k) multipliers_[k] = prices.limits[k] / per;
   }
 };
 
