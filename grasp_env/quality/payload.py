@@ -100,7 +100,7 @@ def payload(
         >>> round(lift.load, 3), round(lift.upper, 3)   # three contacts with friction 0.5
         (12.0, 12.0)
     """
-    solver = ForceOptimizer(grasp, method="conic", limits=limits, margin=margin)
+    solver = ForceOptimizer(grasp, limits=limits, margin=margin)
     along = _screw(direction)
     held = np.zeros(6) if wrench is None else as_wrench(wrench)
     within = positive(tolerance, "tolerance", ranges.TOLERANCE)
