@@ -7,8 +7,8 @@ namespace grasp {
 
 // The loads `wrench + k direction` that forces hold, from k = 0 on. CONVERGED: the largest k is
 // `load`, to the tolerance, and all below are held. INFEASIBLE: no force holds the wrench alone, as
-// `twist` proves. STALLED: neither bound nor proof; unbounded: no bound was found, and `load` is far
-// above the limits.
+// `twist` proves. STALLED: neither bound nor proof; unbounded: no bound was found, and `load` is
+// far above the limits.
 struct Payload {
   Code code = REFUSED;
   int iterations = 0;
@@ -103,7 +103,7 @@ template <int D> class LargestLoad {
   ArenaVector<double> multipliers_;  // of the best bound
   // of the iterate, mixed, of the limits alone, of the latest iterate inside
   Prices now_, mixed_, of_limits_, latest_;
-  Vec6 load_{}, along_{}, y_{};  // unit frame
+  Vec6 load_{}, along_{}, y_{};                      // unit frame
   double unit_ = 1.0, far_ = 0.0, tolerance_ = 0.0;  // unit_: [N] of forces; far_ [N]
   double low_ = 0.0, high_ = 0.0, inside_load_ = 0.0;
   bool has_inside_ = false;
@@ -133,8 +133,8 @@ template <int D> class LargestLoad {
     for (int k = 0; k < in_->limits; ++k) of_limits_.limits[k] = in_->bound[k] > 0.0 ? 1.0 : 0.0;
     of_limits_.inside = dual_slack(of_limits_).least > 0.0;
   }
-  // True unless a proof shows that no force holds the first wrench. `best_` is one that does, if one
-  // was found.
+  // True unless a proof shows that no force holds the first wrench. `best_` is one that does, if
+  // one was found.
   bool holds_first(const double* wrench, Field& z, Payload& out) {
     if (size(load_) == 0.0 && std::ranges::all_of(in_->bound, [](double b) { return b >= 0.0; })) {
       for (auto& zi : best_) zi = {};
@@ -283,8 +283,9 @@ template <int D> class LargestLoad {
     return out;
   }
   // Lower the bound to that of the iterate's multipliers. If rounding left them outside the dual
-  // cones, they are moved inside. Without multipliers inside there is no bound, unless it `pays` for
-  // what they lack: then it holds for normal forces of up to FARTHEST times those of the iterate.
+  // cones, they are moved inside. Without multipliers inside there is no bound, unless it `pays`
+  // for what they lack: then it holds for normal forces of up to FARTHEST times those of the
+  // iterate.
   template <class R> void lower(const InteriorPoint<R, D, 1>& engine, bool pays = false) {
     in_->read_multipliers(engine, now_.limits, [&](int k) { return in_->row_scale(k, unit_); });
     Vec6 joint;
