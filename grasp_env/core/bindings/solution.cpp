@@ -173,9 +173,10 @@ PyGetSetDef read[] = {
              "objective / d wrench = -nu."),
     property("iterations", whole<&Summary::iterations>, "Accepted steps."),
     property("trials", whole<&Summary::trials>, "All steps tried, rejected ones included."),
-    property("objective", number<&Summary::objective>,
-             "Phi of `force`; for `conic` the sum or maximum of the normal forces [N], or the norm of "
-             "the joint torques [N m]; `limit_excess` if that is > 0."),
+    property(
+        "objective", number<&Summary::objective>,
+        "Phi of `force`; for `conic` the sum or maximum of the normal forces [N], or the norm of "
+        "the joint torques [N m]; `limit_excess` if that is > 0."),
     property("lower_bound", number<&Summary::lower_bound>,
              "A dual bound: no balanced force has a smaller objective (-inf: none); or the given "
              "`optimum`."),
