@@ -179,7 +179,7 @@ template <int D> class LargestLoad {
     high_ = -dot(y_, load_) / unit_;
     std::fill(multipliers_.begin(), multipliers_.end(), 0.0);
   }
-  // True if a load of FAR is held, by the force in z [N].
+  // True if the far load is held, by the force in z [N].
   bool holds_far_load(Field& z) {
     const Vec6 far = in_->out_of_unit(load_ + far_ * along_);
     return Depth<D>(*in_, in_->limits).find(far.data(), 1e-7, z).code == CONVERGED;
