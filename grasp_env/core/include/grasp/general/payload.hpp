@@ -51,14 +51,15 @@ template <int D> class LargestLoad {
     tolerance_ = tolerance;
     low_ = -infinity;
     high_ = infinity;
-    has_inside_ = latest_.inside = first_held_ = false;
+    has_inside_ = first_held_ = false;
+    latest_.room = 0.0;
     std::fill(multipliers_.begin(), multipliers_.end(), 0.0);
     price_limits();
     const bool reached = !in_->is_out_of_reach(along_);
     out.code = STALLED;
     if (!holds_first(wrench, z, out)) return out;
     if (reached && !solve<double>(out.iterations)) {
-      out.unbounded = !of_limits_.inside && holds_far_load(z);
+      out.unbounded = !(of_limits_.room > 0.0) && holds_far_load(z);
       if (out.unbounded) {
         out.load = far_ / length;
         return out;
@@ -88,11 +89,12 @@ template <int D> class LargestLoad {
   static constexpr double TINY = 1e-9;  // loads below, in units of forces, count as none
   static constexpr double FAR = 1e6;    // a load this far above all limits has no bound
   static constexpr int ITERATIONS = 100;
-  // Multipliers of balance (unit frame) and of the limits; inside: strictly inside the dual cones.
+  // Multipliers of balance (unit frame) and of the limits. room: their smallest slack of the dual
+  // cones if they are kept as a point inside; 0: none.
   struct Prices {
     Vec6 y{};
     ArenaVector<double> limits;
-    bool inside = false;
+    double room = 0.0;
 
     explicit Prices(int count) : limits(count) {}
   };
@@ -131,7 +133,7 @@ template <int D> class LargestLoad {
   // If the limits bound every force, equal prices on them are inside the dual cones.
   void price_limits() {
     for (int k = 0; k < in_->limits; ++k) of_limits_.limits[k] = in_->bound[k] > 0.0 ? 1.0 : 0.0;
-    of_limits_.inside = dual_slack(of_limits_).least > 0.0;
+    of_limits_.room = dual_slack(of_limits_).least;
   }
   // True unless a proof shows that no force holds the first wrench. `best_` is one that does, if
   // one was found.
@@ -299,13 +301,12 @@ template <int D> class LargestLoad {
     }
     if (now.least > 0.0) {
       latest_ = now_;
-      latest_.inside = true;
+      latest_.room = now.least;
     }
     if (now.least >= 0.0) return;
     for (const Prices* inside : {&of_limits_, &latest_}) {
-      if (!inside->inside) continue;
-      const double room = dual_slack(*inside).least;
-      const double part = std::min(1.0, -1.01 * now.least / (room - now.least));
+      if (!(inside->room > 0.0)) continue;
+      const double part = std::min(1.0, -1.01 * now.least / (inside->room - now.least));
       mixed_.y = now_.y + part * (inside->y - now_.y);
       for (int k = 0; k < in_->limits; ++k)
         mixed_.limits[k] = now_.limits[k] + part * (inside->limits[k] - now_.limits[k]);
