@@ -12,6 +12,8 @@ from grasp_env.config import EnvConfig
 from grasp_env.sim.objects.description import SHAPES_WITHOUT_MESH, ObjectDescription
 
 ENV = "grasp_env:FourFingerGrasp-v0"
+NO_SPRINGS = {"grip_stiffness": 0.0, "grip_damping": 0.0}
+"""Settings of a controller whose commanded forces are the optimal ones alone."""
 
 
 def episode(

@@ -34,43 +34,58 @@ def load_hand(client: int, hand: HandDescription) -> int:
         return bullet.loadURDF(path, useFixedBase=True, flags=HAND_FLAGS, physicsClientId=client)
 
 
+def kinematics_alone(fingers: int = 4) -> HandKinematics:
+    """Return the kinematics of a hand of fingers side by side."""
+    return HandKinematics(
+        HandDescription.of_fingers(
+            [
+                FingerDescription(f"f{k}", (0.1 * k, 0.2, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+                for k in range(fingers)
+            ]
+        )
+    )
+
+
 def scene_alone(
     item: ObjectDescription | None = None, fingers: int = 4
 ) -> tuple[core.Scene, Snapshot]:
     """Return a scene of the core without a simulator, and views of its state to write into."""
-    hand = HandDescription.of_fingers(
-        [
-            FingerDescription(f"f{k}", (0.1 * k, 0.2, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
-            for k in range(fingers)
-        ]
-    )
     made = core.Scene.make(
-        HandKinematics(hand).tree, (item or ObjectDescription()).surface, (0.0, -9.81, 0.0)
+        kinematics_alone(fingers).tree, (item or ObjectDescription()).surface, (0.0, -9.81, 0.0)
     )
     views = Snapshot(**made.arrays())
     views.rotation[:] = np.eye(3)
     return made, views
 
 
-def controller_alone(
+def hand_alone(
     scene: core.Scene,
     fingers: int = 4,
-    settings: core.ControlSettings | None = None,
+    settings: core.HandControllerSettings | None = None,
     sensors: core.SensorSettings | None = None,
+    body: core.Body | None = None,
     **options: Any,
-) -> core.Controller:
-    """Return a control loop of such a scene, by default with Newton on soft contacts around its
-    object."""
+) -> tuple[core.SimulatedHand, core.HandController]:
+    """Return a simulated hand of such a scene and its controller, by default without springs and
+    with Newton on soft contacts around its object."""
     angles = np.arange(fingers) * 2.0 * np.pi / fingers
     outwards = np.column_stack([np.cos(angles), 0.0 * angles, np.sin(angles)])
     grasp = Grasp.from_contacts(
         0.05 * outwards, -outwards, 0.4, contact_model="soft", torsional_friction=0.01
     )
     optimizer = ForceOptimizer(options.pop("grasp", grasp), **options)
-    made = settings or core.ControlSettings()
-    made.reach = made.reach or [core.Spring(0.0, 0.0, 0.0)] * fingers
-    made.posture = made.posture or [core.Spring(0.0, 0.0, 0.0)] * 3 * fingers
-    return core.Controller.make(scene, optimizer.core, made, sensors or core.SensorSettings())
+    made = settings or core.HandControllerSettings()
+    made.grip = made.place = core.Spring(0.0, 0.0, 0.0)
+    made.reach_limit = made.posture_stiffness = made.posture_damping = 0.0
+    made.torque_rate = np.inf
+    controller = core.HandController()
+    tree = kinematics_alone(fingers).tree
+    motors = core.Calibration.newton_metres(tree)
+    controller.configure(tree, made, motors, [0.0] * 3 * fingers, optimizer.core)
+    hand = core.SimulatedHand.make(
+        scene, controller, optimizer.core, body or core.Body(), sensors or core.SensorSettings()
+    )
+    return hand, controller
 
 
 def mass_matrix(kinematics: HandKinematics, angles: np.ndarray) -> np.ndarray:

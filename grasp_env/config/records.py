@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -61,7 +62,14 @@ class SensorSettings(Settings):
     delay: float = setting(
         0.0,
         real(NOT_NEGATIVE),
-        "Delay of all measurements, rounded up to control ticks.",
+        "Delay of the measured object and contacts, rounded up to control ticks.",
+        unit="s",
+        random=True,
+    )
+    joint_delay: float = setting(
+        0.0,
+        real(NOT_NEGATIVE),
+        "The same of the joints, which encoders measure sooner than vision and touch.",
         unit="s",
         random=True,
     )
@@ -159,6 +167,19 @@ class ControllerSettings(Settings):
         "Normal force of each finger that does not count for friction, so that errors of the wrench cause no slip: `Margin.preload`.",
         unit="N",
     )
+    grip_stiffness: float = setting(
+        1500.0,
+        real(NOT_NEGATIVE),
+        "Stiffness of the spring from each touching fingertip to its place on the object's target pose; softer where `rate` and "
+        "`sensors.joint_delay` demand.",
+        unit="N/m",
+    )
+    grip_damping: float = setting(
+        16.0, real(NOT_NEGATIVE), "Damping of these springs, likewise.", unit="N s/m"
+    )
+    grip_force: float = setting(
+        10.0, real(NOT_NEGATIVE), "Largest force of each of these springs.", unit="N"
+    )
     friction_error: float = setting(
         0.0,
         real(Range(-1.0 + 1e-9, 1e9)),
@@ -171,8 +192,20 @@ class ControllerSettings(Settings):
         "Largest rate of change of the internal force; balance is restored at once.",
         unit="N/s",
     )
+    torque_rate: float = setting(
+        250.0,
+        real(POSITIVE),
+        "Largest rate of change of a torque, as a share of its limit per second.",
+        unit="1/s",
+    )
     force_noise: float = setting(
         0.0, real(NOT_NEGATIVE), "Relative standard deviation of delivered torques.", random=True
+    )
+    noise_time: float = setting(
+        0.004,
+        real(POSITIVE),
+        "Time between two draws of this noise, rounded up to control ticks.",
+        unit="s",
     )
     motor_strength: float = setting(
         1.0, real(POSITIVE), "Delivered torque as a share of the commanded one.", random=True
@@ -186,6 +219,11 @@ class ControllerSettings(Settings):
     pd_damping: float = setting(
         4.0, real(NOT_NEGATIVE), "Damping of each tip under `pd`.", unit="N s/m"
     )
+
+    @property
+    def noise_ticks(self) -> int:
+        """Number of control ticks for which a draw of the torque noise stays."""
+        return math.ceil(self.noise_time * self.rate - 1e-9)
 
 
 @dataclass(frozen=True)

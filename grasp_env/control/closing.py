@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
 
 from grasp_env.control.loop import ForceLoop, critically_damped
 from grasp_env.errors import SimulationError
+from grasp_env.inputs.arguments import Array
 from grasp_env.sim.scene import Scene
 from grasp_env.task.motion import resting_target
 
@@ -17,6 +20,7 @@ _QUIET, _SETTLED = 8, 4  # control ticks in a row at rest: of the fingers, of th
 # joint speed [rad/s] and kinetic energy [J] below which the fingers are at rest
 _SLOW, _ENERGY = 0.1, 1e-5
 _WEIGHT_ERROR = 0.01
+_MEAN_TIME = 4e-3  # [s] over which contact forces are averaged: single steps of an engine chatter
 _NEAR, _LOST = 1e-3, 5e-3  # [m] from its place: accepted at the end of the settling; lost
 _AT_LIMIT = 1.0 - 1e-6  # share of a torque limit that counts as the limit
 _END, _STRAY = 5e-3, 0.05  # angle from a joint's limit [rad]; force of links on the object [N]
@@ -57,7 +61,9 @@ def _close(scene: Scene, loop: ForceLoop) -> None:
             return
     raise SimulationError(
         f"the fingers did not come to rest on the object in {CLOSING_TIME} s: "
-        + _causes(scene, loop, "they push it about: make it heavier or less slender", False)
+        + _causes(
+            scene, _weak(scene, loop), "they push it about: make it heavier or less slender", False
+        )
     )
 
 
@@ -84,13 +90,17 @@ def take_over(scene: Scene, loop: ForceLoop) -> None:
     scale = float(np.linalg.norm(weight))
     error = np.inf
     ticks = round(SETTLING_TIME / loop.dt)
+    totals: deque[Array] = deque(maxlen=max(1, round(_MEAN_TIME / loop.dt)))
     latest = ticks - 2 * _SETTLED
+    weak = set[int]()
     for tick in range(ticks):
         loop.begin_step()
         torques = loop.tick(np.zeros(6), scene.gravity, target, due=tick % every == 0)
+        weak |= _weak(scene, loop)
         scene.advance(torques, None)
         snapshot = scene.look()
-        total = snapshot.rotation @ snapshot.forces.sum(axis=0)
+        totals.append(snapshot.rotation @ snapshot.forces.sum(axis=0))
+        total = sum(totals) / len(totals)
         error = float(np.linalg.norm(total + weight)) / (
             scale or max(float(np.abs(snapshot.forces).sum()), 1e-9)
         )
@@ -98,6 +108,7 @@ def take_over(scene: Scene, loop: ForceLoop) -> None:
             np.abs(snapshot.linear).max() < _STILL
             and snapshot.touching.all()
             and error < _WEIGHT_ERROR
+            and not loop.controller.rising
         )
         away = np.abs(snapshot.position).max()
         # fingers that cannot push in every direction leave the object slightly displaced
@@ -112,12 +123,19 @@ def take_over(scene: Scene, loop: ForceLoop) -> None:
         "barrier_weight or squeeze, or make the object lighter"
     )
     raise SimulationError(
-        f"the grasp did not settle within {SETTLING_TIME} s: {_causes(scene, loop, friction, True)}"
+        f"the grasp did not settle within {SETTLING_TIME} s: {_causes(scene, weak, friction, True)}"
     )
 
 
-def _causes(scene: Scene, loop: ForceLoop, otherwise: str, settling: bool) -> str:
-    """Return the likely causes of a failed grasp, with remedies."""
+def _weak(scene: Scene, loop: ForceLoop) -> set[int]:
+    """Return the joints whose motors give all they can and cannot hold the object."""
+    limits = scene.kinematics.torque_limits
+    at_limit = np.flatnonzero(np.abs(loop.torques) >= _AT_LIMIT * limits)
+    return set(at_limit.tolist()) if loop.effort.saturated else set()
+
+
+def _causes(scene: Scene, weak: set[int], otherwise: str, settling: bool) -> str:
+    """Return the likely causes of a failed grasp, with remedies; `weak`: joints of weak motors."""
     snapshot = scene.look()
     hand = scene.config.hand
     joints = hand.joint_names
@@ -125,9 +143,8 @@ def _causes(scene: Scene, loop: ForceLoop, otherwise: str, settling: bool) -> st
     limits, angles = kinematics.torque_limits, snapshot.angles
     names = [hand.palm.name, *(link.name for link in hand.links)]
     causes = []
-    weak = np.flatnonzero(np.abs(loop.torques) >= _AT_LIMIT * limits)
-    if loop.effort.saturated and len(weak):
-        listed = ", ".join(f"{joints[j]} ({limits[j]:g} N m)" for j in weak)
+    if weak:
+        listed = ", ".join(f"{joints[j]} ({limits[j]:g} N m)" for j in sorted(weak))
         causes.append(
             f"joints at their torque limits: {listed}. No force within them carries the object where it is: raise torque_limit, make "
             "the object lighter or rougher, or grasp it elsewhere"

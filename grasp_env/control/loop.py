@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
 
 from grasp_env import core
 from grasp_env.config import EnvConfig
-from grasp_env.control.sensing import NoiseRows, late_ticks, sensor_settings
+from grasp_env.control.sensing import NoiseRows, joint_ticks, late_ticks, sensor_settings
 from grasp_env.core import Hold
 from grasp_env.errors import InfeasibleStartError, InfeasibleWrenchError, RankDeficientGraspError
 from grasp_env.force import ForceOptimizer, ForceSolution, Margin
@@ -29,23 +28,14 @@ from grasp_env.force.solution import STATUSES
 from grasp_env.grasp.grasp import Grasp
 from grasp_env.grasp.null_space import reference_basis
 from grasp_env.inputs.arguments import Array, Indices
-from grasp_env.sim.hand.kinematics import HandKinematics
 from grasp_env.sim.objects.description import ObjectDescription
 from grasp_env.sim.scene import Scene
 from grasp_env.sim.snapshot import Snapshot
 
 FOLLOW_ITERATIONS = 200
 """Largest number of iterations at a tick between agent steps; Newton takes 1 to 15."""
-RELEASE = 2
-"""Control ticks without force after which a finger no longer counts as in contact."""
-REACH_STIFFNESS, REACH_FORCE, REACH_LIMIT = 60.0, 0.3, 1.0
-"""Stiffness [N/m] of a finger that reaches, its force against the object, its largest force [N]."""
-POSTURE_STIFFNESS, POSTURE_DAMPING = 0.01, 0.001
-"""Stiffness [N m/rad] and damping [N m s/rad] towards the rest posture of a redundant hand."""
-REACH_MASS = 0.03
-"""Mass [kg] of the lightest tip for which reaching is critically damped."""
-MAX_STIFFNESS, MAX_DAMPING = 0.5, 1.0
-"""Largest stiffness * dt^2 / mass and damping * dt / mass; sampled control diverges from 4 and 2."""
+STALE = 0.02
+"""Largest age of measurements beyond their known delay [s]."""
 MAX_BANDWIDTH = 0.3
 """Largest bandwidth times delay; critically damped feedback oscillates from 0.65 on."""
 
@@ -53,11 +43,13 @@ MAX_BANDWIDTH = 0.3
 class ForceLoop:
     """Optimises the contact forces at every agent step and holds the object in between.
 
-    One compiled call is one control tick, from a reading to joint torques. The environment's
-    docstring describes what it does.
+    It wires the compiled `HandController` to a simulated hand with its sensors: two compiled calls
+    are one control tick, from a reading to joint torques. The environment's docstring describes
+    what it does.
 
     Attributes:
-        core: the compiled controller.
+        controller: the controller of the hand.
+        hand: the simulated hand beside it: its sensors, and what is true of the hold.
         optimizer: the method, made for the planned contacts of all fingers.
         seen: the scene as the controller measures it.
         wrench: (6,) wrench that the forces balance [N, N m], object frame.
@@ -101,24 +93,33 @@ class ForceLoop:
         normals = scene.config.contact_normals
         grasp = self.grasp(points, normals)
         self.optimizer = make_optimizer(grasp, self.margin, config, self.initial_force)
-        settings = control_settings(config, item, scene.kinematics)
+        settings = control_settings(config)
         settings.remembers = self.optimizer.remembers
         # soft tips on one line have an internal force more
         directions = reference_basis(grasp)[:, : adjustment_size(self.count)]
         settings.directions = directions.reshape(-1).tolist()
-        self.core = core.Controller.make(
-            scene.core, self.optimizer.core, settings, sensor_settings(config)
+        # free joints stay in the planned posture: a far home would draw them to their limits
+        home = scene.config.start_angles or hand.home
+        tree = scene.kinematics.tree
+        motors = core.Calibration.newton_metres(tree)
+        self.controller = core.HandController()
+        self.controller.configure(tree, settings, motors, home, self.optimizer.core)
+        self.hand = core.SimulatedHand.make(
+            scene.core,
+            self.controller,
+            self.optimizer.core,
+            believed_body(config, item),
+            sensor_settings(config),
         )
         self._settling = True  # until the hand holds the object
-        arrays = self.core.arrays()
+        arrays = self.controller.arrays()
+        names = ("wrench", "force", "frames", "torques", "solution")
         self.wrench, self.force, self.frames, self.torques, self._row = (
-            arrays[name] for name in ("wrench", "force", "frames", "torques", "solution")
+            arrays[name] for name in names
         )
-        # free joints stay in the planned posture: a far home would draw them to their limits
-        arrays["home"][:] = scene.config.start_angles or hand.home
+        self._seen = [arrays[name] for name in ("positions", "normals", "preload")]
         arrays["goals"][:] = points
         arrays["inwards"][:] = normals
-        arrays["depths"][:] = controller.squeeze / self.count / controller.pd_stiffness
         self._noise = None
         self.reset()
 
@@ -132,12 +133,12 @@ class ForceLoop:
     def reset(self, rng: np.random.Generator | None = None) -> None:
         """Forget the episode; `rng` draws one seed for the noise (None: keep the current noise)."""
         self.scene.look()
-        self.core.reset()
+        self.hand.reset()
         self.settling = self._settling
-        self.seen = Snapshot(**self.core.seen())
+        self.seen = Snapshot(**self.hand.seen())
         if rng is not None:
             noise = np.random.default_rng(int(rng.integers(2**63)))
-            self._noise = None if self.core.exact else NoiseRows(noise, 3 + 3 * self.count)
+            self._noise = None if self.hand.exact else NoiseRows(noise, 3 + 3 * self.count)
         self._start: StartRequest | None = None  # of a Python rule
         self.begin_step()
 
@@ -148,17 +149,17 @@ class ForceLoop:
 
     @settling.setter
     def settling(self, value: bool) -> None:
-        self._settling = self.core.perfect = value
+        self._settling = self.hand.perfect = value
         self._hold(Hold.optimized if value else HOLDS[self.config.controller.kind])
 
     def _hold(self, hold: Hold) -> None:
-        self._held = self.core.hold = hold
+        self._held = self.controller.hold = hold
         self._needs_rule = hold == Hold.optimized and not self.optimizer.core_finds_start
 
     @property
     def solution(self) -> ForceSolution | None:
         """The method's last solution, or None."""
-        if self.core.code not in RESULTS:
+        if self.controller.code not in RESULTS:
             return None
         row = self._row.copy()
         if self._start is not None:
@@ -168,41 +169,41 @@ class ForceLoop:
     @property
     def status(self) -> str:
         """Status of the method's last solve, the value of a `Status`; empty without a solution."""
-        code = self.core.code
+        code = self.controller.code
         return STATUSES[code].value if code in RESULTS else ""
 
     @property
     def closure(self) -> bool:
         """True if the contacts could balance the wrench at the last tick."""
-        return self.core.closure
+        return self.controller.closure
 
     @property
     def fingers(self) -> Indices:
         """Numbers (n,) of the fingers in contact, as the controller measures them."""
-        mask = self.core.mask
+        mask = self.controller.mask
         return np.array([k for k in range(self.count) if mask >> k & 1], dtype=np.int64)
 
     def begin_step(self) -> None:
         """Begin an agent's step."""
-        self.core.begin_step()
+        self.hand.begin_step()
 
     @property
     def effort(self) -> core.Effort:
         """Iterations of the solvers and use of the motors since the agent's step began."""
-        return self.core.effort
+        return self.controller.effort
 
     def costs(self) -> tuple[float, float, float]:
         """Return the costs of force, torque and change of force, 0 to 1, of the agent's step."""
-        costs = self.core.costs()
+        costs = self.hand.costs()
         return costs.force, costs.torque, costs.change
 
     def outcome(self, target: Array, error: Array, measured: Array) -> core.Outcome:
-        """Return the true state of the hold; see `core.Controller.outcome`."""
-        return self.core.outcome(target, error, measured)
+        """Return the true state of the hold; see `core.SimulatedHand.outcome`."""
+        return self.hand.outcome(target, error, measured)
 
     def step_info(self, outcome: core.Outcome, measured: Array) -> dict[str, Any]:
-        """Return the entries of `info` from the core; see `core.Controller.step_info`."""
-        return self.core.step_info(outcome, measured)
+        """Return the entries of `info` from the core; see `core.SimulatedHand.step_info`."""
+        return self.hand.step_info(outcome, measured)
 
     def tick(
         self,
@@ -231,39 +232,39 @@ class ForceLoop:
         by_rule = due and self._needs_rule
         if by_rule:
             self._row[CODE] = REFUSED  # no stale solution is left if the rule fails
-        if not self.core.see(reading, external, gravity, target, noise):
+        if not self.hand.see(reading, external, gravity, target, noise):
             assert reading is not None  # earlier readings are finite
             raise self.scene.divergence_error(reading)
+        if self._settling:
+            self.controller.take_hold()
         if by_rule:
             return self._from_rule(adjustment)
-        return self.core.act(due, adjustment, None, forces)
+        return self.controller.act(due, adjustment, None, forces)
 
     def _from_rule(self, adjustment: Array | None) -> list[float]:
         """Run the tick of a method with a Python start rule, on the measured contacts."""
         touching = self.fingers
         try:
-            grasp = Grasp.from_contacts(
-                self.seen.points[touching], self.seen.normals[touching], self._friction
-            )
-            problem = shifted(self.margin, grasp, self.wrench)
+            positions, normals, preload = (part[touching] for part in self._seen)
+            grasp = Grasp.from_contacts(positions, normals, self._friction)
+            margin = Margin(self.margin.friction, preload)
+            problem = shifted(margin, grasp, self.wrench)
             start = rule_start(self.optimizer.initial, problem, self.optimizer.objective)
         except self._lost_closure:  # the method reports this from its own start
             self._start = None
-            return self.core.act(True, adjustment, None, None)
+            return self.controller.act(True, adjustment, None, None)
         force = np.zeros((self.count, 3))
         force[touching] = start.force
         self._start = start
-        torques = self.core.act(True, adjustment, force, None)
-        if self.core.code == REFUSED and not isinstance(self.initial_force, str):
+        torques = self.controller.act(True, adjustment, force, None)
+        if self.controller.code == REFUSED and not isinstance(self.initial_force, str):
             raise refused_start(problem, start, None)
         return torques
 
     def rest(self, external: Array, gravity: Array, target: Array) -> None:
         """Set the state of the hand at rest: the measured forces become the commanded ones."""
         noise = None if self._noise is None else self._noise()
-        self.core.see(None, external, gravity, target, noise)
-        self.core.rest()
-        self.core.rewind()
+        self.hand.rest(external, gravity, target, noise)
 
     def reach(self, gravity: Array, target: Array) -> list[float]:
         """Return the torques (M,) [N m] of a tick in which all fingers reach for their places."""
@@ -310,45 +311,23 @@ def make_optimizer(
     )
 
 
-def control_settings(
-    config: EnvConfig, item: ObjectDescription, kinematics: HandKinematics
-) -> core.ControlSettings:
-    """Return the controller's settings: the object without its payload, and all gains."""
+def control_settings(config: EnvConfig) -> core.HandControllerSettings:
+    """Return the settings of the hand's controller."""
     controller, solver = config.controller, config.solver
-    tips, joints = kinematics.mobility(kinematics.home)
-    dt = 1.0 / controller.rate
-
-    def reach(mobility: float) -> core.Spring:
-        damping = 2.0 * math.sqrt(REACH_STIFFNESS * max(REACH_MASS, 1.0 / mobility))
-        return stable_spring(REACH_STIFFNESS, damping, REACH_LIMIT, mobility, dt)
-
-    def posture(mobility: float) -> core.Spring:
-        damping = 2.0 * math.sqrt(POSTURE_STIFFNESS / max(mobility, 1.0))
-        damping = max(POSTURE_DAMPING, damping)
-        return stable_spring(POSTURE_STIFFNESS, damping, np.inf, mobility, dt)
-
-    settings = core.ControlSettings()
-    settings.body = believed_body(config, item)
-    settings.reach = list(map(reach, tips))
-    settings.spring = core.Spring(controller.pd_stiffness, controller.pd_damping, np.inf)
-    settings.reach_depth = REACH_FORCE / REACH_STIFFNESS
-    settings.posture = list(map(posture, joints))
+    settings = core.HandControllerSettings()
+    settings.rate = controller.rate
+    settings.joint_delay = joint_ticks(config) / controller.rate
+    settings.grip = core.Spring(
+        controller.grip_stiffness, controller.grip_damping, controller.grip_force
+    )
+    settings.place = core.Spring(controller.pd_stiffness, controller.pd_damping, np.inf)
     iterations = min(solver.max_iterations, FOLLOW_ITERATIONS)
     settings.set_follow(solver.tolerance, iterations, solver.method == "conic")
     settings.squeeze = controller.squeeze
-    settings.most_change = controller.force_rate / controller.rate
-    settings.release = RELEASE
+    settings.force_rate = controller.force_rate
+    settings.torque_rate = controller.torque_rate
+    settings.stale = STALE + max(late_ticks(config), joint_ticks(config)) / controller.rate
     return settings
-
-
-def stable_spring(
-    stiffness: float, damping: float, limit: float, mobility: float, dt: float
-) -> core.Spring:
-    """Return a spring that is stable when sampled every `dt` [s]; mobility in 1 / (kg [m^2])."""
-    if not mobility > 0.0:
-        return core.Spring(0.0, 0.0, limit)
-    stiffness = min(stiffness, MAX_STIFFNESS / (mobility * dt**2))
-    return core.Spring(stiffness, min(damping, MAX_DAMPING / (mobility * dt)), limit)
 
 
 def believed_body(config: EnvConfig, item: ObjectDescription) -> core.Body:

@@ -18,6 +18,7 @@ def sensor_settings(config: EnvConfig) -> core.SensorSettings:
     settings.wrench = getattr(core.WrenchSource, sensors.wrench)
     settings.tick = 1.0 / config.controller.rate
     settings.keep = keep_factor(sensors.estimator_time, settings.tick)
+    settings.joint_delay = joint_ticks(config)
     settings.delay = late_ticks(config)
     settings.wrench_delay = sensors.wrench_delay
     settings.pose_noise = sensors.pose_noise
@@ -26,8 +27,17 @@ def sensor_settings(config: EnvConfig) -> core.SensorSettings:
 
 
 def late_ticks(config: EnvConfig) -> int:
-    """Return the delay of all measurements in whole control ticks."""
-    return math.ceil(config.sensors.delay * config.controller.rate - 1e-9)
+    """Return the delay of contacts and pose in whole control ticks."""
+    return _ticks(config.sensors.delay, config)
+
+
+def joint_ticks(config: EnvConfig) -> int:
+    """Return the delay of the joints in whole control ticks."""
+    return _ticks(config.sensors.joint_delay, config)
+
+
+def _ticks(time: float, config: EnvConfig) -> int:
+    return math.ceil(time * config.controller.rate - 1e-9)
 
 
 def keep_factor(time: float, tick: float) -> float:

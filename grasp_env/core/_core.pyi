@@ -556,6 +556,11 @@ class Tree:
         Write the velocity of a point (3,) [m] of a link per joint speed, world frame, into (3, M).
         """
 
+    def mobility(self, angles: object) -> tuple[list[float], list[float]]:
+        """
+        Mobility of tips (N,) [1/kg] and joints (M,) [1/(kg m^2)]: see mobility.hpp.
+        """
+
     def mass_matrix(self, angles: object, matrix: object) -> None:
         """
         Write the mass matrix (M, M) [kg m^2]; rows and columns of coupled joints are zero.
@@ -743,6 +748,423 @@ class Gather:
 
     def __call__(self) -> numpy.typing.NDArray[numpy.float32]: ...
 
+class HandState:
+    """What a hand and its sensors know at an update."""
+
+    def __init__(self, joints: int, fingers: int) -> None: ...
+
+    @property
+    def numbers(self) -> Annotated[NDArray[numpy.float64], dict(order='C')]:
+        """All parts in one row, for messages."""
+
+    @property
+    def angles(self) -> Annotated[NDArray[numpy.float64], dict(order='C')]: ...
+
+    @angles.setter
+    def angles(self, arg: object, /) -> None: ...
+
+    @property
+    def rates(self) -> Annotated[NDArray[numpy.float64], dict(order='C')]: ...
+
+    @rates.setter
+    def rates(self, arg: object, /) -> None: ...
+
+    @property
+    def touching(self) -> Annotated[NDArray[numpy.float64], dict(order='C')]: ...
+
+    @touching.setter
+    def touching(self, arg: object, /) -> None: ...
+
+    @property
+    def positions(self) -> Annotated[NDArray[numpy.float64], dict(order='C')]: ...
+
+    @positions.setter
+    def positions(self, arg: object, /) -> None: ...
+
+    @property
+    def normals(self) -> Annotated[NDArray[numpy.float64], dict(order='C')]: ...
+
+    @normals.setter
+    def normals(self, arg: object, /) -> None: ...
+
+    @property
+    def wrench(self) -> Annotated[NDArray[numpy.float64], dict(order='C')]: ...
+
+    @wrench.setter
+    def wrench(self, arg: object, /) -> None: ...
+
+    @property
+    def gravity(self) -> Annotated[NDArray[numpy.float64], dict(order='C')]: ...
+
+    @gravity.setter
+    def gravity(self, arg: object, /) -> None: ...
+
+    @property
+    def object(self) -> Annotated[NDArray[numpy.float64], dict(order='C')]: ...
+
+    @object.setter
+    def object(self, arg: object, /) -> None: ...
+
+    @property
+    def target(self) -> Annotated[NDArray[numpy.float64], dict(order='C')]: ...
+
+    @target.setter
+    def target(self, arg: object, /) -> None: ...
+
+    @property
+    def ages(self) -> Annotated[NDArray[numpy.float64], dict(order='C')]: ...
+
+    @ages.setter
+    def ages(self, arg: object, /) -> None: ...
+
+class Spring:
+    """Draws a tip to its place."""
+
+    def __init__(self, gain: float, damping: float, limit: float) -> None:
+        """[N/m], [N s/m], largest force [N]"""
+
+class Calibration:
+    """From joint torques to units of motors."""
+
+    def __init__(self) -> None: ...
+
+    @staticmethod
+    def newton_metres(hand: Tree) -> Calibration: ...
+
+    @staticmethod
+    def currents(torque_constant: Sequence[float], largest: Sequence[float], units_per_ampere: Sequence[float]) -> Calibration: ...
+
+    @property
+    def torques(self) -> list[list[float]]: ...
+
+    @torques.setter
+    def torques(self, arg: Sequence[Sequence[float]], /) -> None: ...
+
+    @property
+    def units(self) -> list[list[float]]: ...
+
+    @units.setter
+    def units(self, arg: Sequence[Sequence[float]], /) -> None: ...
+
+    @property
+    def friction(self) -> list[float]: ...
+
+    @friction.setter
+    def friction(self, arg: Sequence[float], /) -> None: ...
+
+    @property
+    def dead_band(self) -> list[float]: ...
+
+    @dead_band.setter
+    def dead_band(self, arg: Sequence[float], /) -> None: ...
+
+    @property
+    def fade(self) -> float: ...
+
+    @fade.setter
+    def fade(self, arg: float, /) -> None: ...
+
+    def check(self, joints: int) -> None:
+        """Raise a ValueError unless it fits a hand."""
+
+    def limit(self, joint: int) -> float:
+        """Torque available in both directions [N m]."""
+
+    def __call__(self, joint: int, torque: float, wanted: float = 0.0) -> float: ...
+
+class Hold(enum.Enum):
+    """Behaviour of the fingers in contact: see hand_settings.hpp."""
+
+    optimized = 0
+
+    squeeze = 1
+
+    place = 2
+
+    direct = 3
+
+    reach = 4
+
+class HandControllerSettings:
+    """See hand_settings.hpp."""
+
+    def __init__(self) -> None: ...
+
+    @property
+    def friction(self) -> float: ...
+
+    @friction.setter
+    def friction(self, arg: float, /) -> None: ...
+
+    @property
+    def torsional_friction(self) -> float: ...
+
+    @torsional_friction.setter
+    def torsional_friction(self, arg: float, /) -> None: ...
+
+    @property
+    def friction_margin(self) -> float: ...
+
+    @friction_margin.setter
+    def friction_margin(self, arg: float, /) -> None: ...
+
+    @property
+    def preload(self) -> float: ...
+
+    @preload.setter
+    def preload(self, arg: float, /) -> None: ...
+
+    @property
+    def rate(self) -> float: ...
+
+    @rate.setter
+    def rate(self, arg: float, /) -> None: ...
+
+    @property
+    def budget(self) -> float: ...
+
+    @budget.setter
+    def budget(self, arg: float, /) -> None: ...
+
+    def set_follow(self, tolerance: float, limit: int, conic: bool = False) -> None:
+        """
+        Set the solver between two solves of the method, Newton or conic: relative certified gap, most steps.
+        """
+
+    @property
+    def joint_delay(self) -> float: ...
+
+    @joint_delay.setter
+    def joint_delay(self, arg: float, /) -> None: ...
+
+    @property
+    def grip(self) -> Spring: ...
+
+    @grip.setter
+    def grip(self, arg: Spring, /) -> None: ...
+
+    @property
+    def place(self) -> Spring: ...
+
+    @place.setter
+    def place(self, arg: Spring, /) -> None: ...
+
+    @property
+    def reach_stiffness(self) -> float: ...
+
+    @reach_stiffness.setter
+    def reach_stiffness(self, arg: float, /) -> None: ...
+
+    @property
+    def reach_force(self) -> float: ...
+
+    @reach_force.setter
+    def reach_force(self, arg: float, /) -> None: ...
+
+    @property
+    def reach_limit(self) -> float: ...
+
+    @reach_limit.setter
+    def reach_limit(self, arg: float, /) -> None: ...
+
+    @property
+    def posture_stiffness(self) -> float: ...
+
+    @posture_stiffness.setter
+    def posture_stiffness(self, arg: float, /) -> None: ...
+
+    @property
+    def posture_damping(self) -> float: ...
+
+    @posture_damping.setter
+    def posture_damping(self, arg: float, /) -> None: ...
+
+    @property
+    def damping(self) -> float: ...
+
+    @damping.setter
+    def damping(self, arg: float, /) -> None: ...
+
+    @property
+    def force_rate(self) -> float: ...
+
+    @force_rate.setter
+    def force_rate(self, arg: float, /) -> None: ...
+
+    @property
+    def torque_rate(self) -> float: ...
+
+    @torque_rate.setter
+    def torque_rate(self, arg: float, /) -> None: ...
+
+    @property
+    def release(self) -> int: ...
+
+    @release.setter
+    def release(self, arg: int, /) -> None: ...
+
+    @property
+    def stale(self) -> float: ...
+
+    @stale.setter
+    def stale(self, arg: float, /) -> None: ...
+
+    @property
+    def stale_wrench(self) -> float: ...
+
+    @stale_wrench.setter
+    def stale_wrench(self, arg: float, /) -> None: ...
+
+    @property
+    def grace(self) -> float: ...
+
+    @grace.setter
+    def grace(self, arg: float, /) -> None: ...
+
+    @property
+    def fade(self) -> float: ...
+
+    @fade.setter
+    def fade(self, arg: float, /) -> None: ...
+
+    @property
+    def remembers(self) -> bool: ...
+
+    @remembers.setter
+    def remembers(self, arg: bool, /) -> None: ...
+
+    @property
+    def directions(self) -> list[float]: ...
+
+    @directions.setter
+    def directions(self, arg: Sequence[float], /) -> None: ...
+
+    @property
+    def squeeze(self) -> float: ...
+
+    @squeeze.setter
+    def squeeze(self, arg: float, /) -> None: ...
+
+class Effort:
+    """
+    Effort of solvers and motors since an agent's step began: see hand_settings.hpp.
+    """
+
+    @property
+    def iterations(self) -> int: ...
+
+    @property
+    def trials(self) -> int: ...
+
+    @property
+    def followed(self) -> int: ...
+
+    @property
+    def limited(self) -> int: ...
+
+    @property
+    def saturated(self) -> bool: ...
+
+    @property
+    def margin(self) -> float: ...
+
+    @property
+    def share(self) -> float: ...
+
+class HandController:
+    """The controller of a torque-controlled hand: see hand_controller.hpp."""
+
+    def __init__(self) -> None: ...
+
+    def configure(self, hand: Tree, settings: HandControllerSettings, calibration: Calibration, home: Sequence[float], optimizer: object | None = None) -> None:
+        """
+        Make all objects of an update. home: (M,) posture of the gains. optimizer: the `ForceOptimizer` of agents' steps
+        for the contacts of all fingers, which is copied; None: Newton with the friction and the margin of the settings.
+        """
+
+    def activate(self, state: HandState) -> bool:
+        """
+        Start at a state, from which torques rise from zero; False: it is not of this hand or not finite.
+        """
+
+    def take_hold(self) -> None:
+        """
+        Make the places of the touching fingers where they are now, once a grasp has settled.
+        """
+
+    def deactivate(self) -> None:
+        """Command zero torque from now on."""
+
+    def update(self, state: HandState, period: float) -> object:
+        """
+        Return commands (M,) in device units for the newest state; period: since the last update [s].
+        """
+
+    def observe(self, state: HandState, period: float) -> None:
+        """
+        First half of `update`: take the state and count the fingers in contact.
+        """
+
+    def act(self, due: bool, adjustment: object | None, start: object | None, given: object | None) -> list[float]:
+        """
+        Second half of `update`: find forces, and return the joint torques (M,) [N m] that produce them.
+        due: True if an agent's step begins, with adjustment (K,) [N] of the start. start: (N, 3) [N], contact frames,
+        start of the method; given: (N, 3) [N], contact frames, forces for `Hold.direct`.
+        """
+
+    @property
+    def hold(self) -> Hold:
+        """Behaviour of the fingers in contact."""
+
+    @hold.setter
+    def hold(self, arg: Hold, /) -> None: ...
+
+    @property
+    def status(self) -> str:
+        """What the torques do."""
+
+    @property
+    def duration(self) -> float:
+        """Time of the last update [s]."""
+
+    @property
+    def late(self) -> int:
+        """Number of updates after a missed deadline."""
+
+    @property
+    def over_budget(self) -> int:
+        """Number of updates longer than the budget."""
+
+    @property
+    def effort(self) -> Effort: ...
+
+    @property
+    def code(self) -> int:
+        """Code of the method's last solve."""
+
+    @property
+    def closure(self) -> bool:
+        """True if forces balance the wrench."""
+
+    def arrays(self) -> dict[str, NDArray]:
+        """Views of the commands by name; overwritten in place."""
+
+    @property
+    def mask(self) -> int:
+        """Fingers that count as in contact: 2^i for finger i."""
+
+    @property
+    def changes(self) -> int:
+        """Number of changes of `mask`."""
+
+    @property
+    def rising(self) -> bool:
+        """True if torques are on their way, as fast as they may change."""
+
+    @property
+    def peak(self) -> float:
+        """Largest torque since `activate` [N m]."""
+
 class Body:
     """Model of the object and gains of its pose feedback: see balance.hpp."""
 
@@ -790,12 +1212,6 @@ class Body:
         Weight - inertial wrench of the target motion + pose feedback (6,) [N, N m], object frame.
         """
 
-class Spring:
-    """Draws a tip to its place."""
-
-    def __init__(self, gain: float, damping: float, limit: float) -> None:
-        """[N/m], [N s/m], largest force [N]"""
-
 class WrenchSource(enum.Enum):
     """Source of the external wrench."""
 
@@ -804,89 +1220,6 @@ class WrenchSource(enum.Enum):
     estimated = 1
 
     none = 2
-
-class Hold(enum.Enum):
-    """Behaviour of the fingers in contact: see control_settings.hpp."""
-
-    optimized = 0
-
-    squeeze = 1
-
-    place = 2
-
-    direct = 3
-
-    reach = 4
-
-class ControlSettings:
-    """Object model and gains of a control loop: see control_settings.hpp."""
-
-    def __init__(self) -> None: ...
-
-    @property
-    def body(self) -> Body: ...
-
-    @body.setter
-    def body(self, arg: Body, /) -> None: ...
-
-    @property
-    def reach(self) -> list[Spring]: ...
-
-    @reach.setter
-    def reach(self, arg: Sequence[Spring], /) -> None: ...
-
-    @property
-    def spring(self) -> Spring: ...
-
-    @spring.setter
-    def spring(self, arg: Spring, /) -> None: ...
-
-    @property
-    def reach_depth(self) -> float: ...
-
-    @reach_depth.setter
-    def reach_depth(self, arg: float, /) -> None: ...
-
-    @property
-    def posture(self) -> list[Spring]: ...
-
-    @posture.setter
-    def posture(self, arg: Sequence[Spring], /) -> None: ...
-
-    def set_follow(self, tolerance: float, limit: int, conic: bool = False) -> None:
-        """
-        Set the solver between two solves of the method, Newton or conic: relative certified gap, most steps.
-        """
-
-    @property
-    def remembers(self) -> bool: ...
-
-    @remembers.setter
-    def remembers(self, arg: bool, /) -> None: ...
-
-    @property
-    def directions(self) -> list[float]: ...
-
-    @directions.setter
-    def directions(self, arg: Sequence[float], /) -> None: ...
-
-    @property
-    def squeeze(self) -> float: ...
-
-    @squeeze.setter
-    def squeeze(self, arg: float, /) -> None: ...
-
-    @property
-    def most_change(self) -> float: ...
-
-    @most_change.setter
-    def most_change(self, arg: float, /) -> None: ...
-
-    @property
-    def release(self) -> int: ...
-
-    @release.setter
-    def release(self, arg: int, /) -> None: ...
 
 class SensorSettings:
     """Delay and noise of the controller's sensors: see sensing.hpp."""
@@ -912,6 +1245,12 @@ class SensorSettings:
     def keep(self, arg: float, /) -> None: ...
 
     @property
+    def joint_delay(self) -> int: ...
+
+    @joint_delay.setter
+    def joint_delay(self, arg: int, /) -> None: ...
+
+    @property
     def delay(self) -> int: ...
 
     @delay.setter
@@ -935,34 +1274,8 @@ class SensorSettings:
     @tactile_noise.setter
     def tactile_noise(self, arg: float, /) -> None: ...
 
-class Effort:
-    """
-    Effort of solvers and motors since `begin_step`: see control_settings.hpp.
-    """
-
-    @property
-    def iterations(self) -> int: ...
-
-    @property
-    def trials(self) -> int: ...
-
-    @property
-    def followed(self) -> int: ...
-
-    @property
-    def limited(self) -> int: ...
-
-    @property
-    def saturated(self) -> bool: ...
-
-    @property
-    def margin(self) -> float: ...
-
-    @property
-    def share(self) -> float: ...
-
 class Costs:
-    """Costs of an agent's step, each from 0 to 1: see control_settings.hpp."""
+    """Costs of an agent's step, each from 0 to 1: see simulated_hand.hpp."""
 
     @property
     def force(self) -> float: ...
@@ -974,7 +1287,7 @@ class Costs:
     def change(self) -> float: ...
 
 class Outcome:
-    """Quality of the hold: see controller.hpp."""
+    """Quality of the hold: see simulated_hand.hpp."""
 
     @property
     def drift(self) -> float: ...
@@ -1000,64 +1313,43 @@ class Outcome:
     @property
     def stray_share(self) -> float: ...
 
-class Controller:
-    """The control loop of a hand: from readings to joint torques."""
+class SimulatedHand:
+    """
+    The hand of a simulation beside its controller: its sensors, and what is true of the hold.
+    """
 
     @staticmethod
-    def make(scene: Scene, optimizer: object, settings: ControlSettings, sensors: SensorSettings) -> Controller:
+    def make(scene: Scene, controller: HandController, optimizer: object, body: Body, sensors: SensorSettings) -> SimulatedHand:
         """
-        optimizer: a `ForceOptimizer` for the contacts of all fingers; it is copied.
+        controller: configured. optimizer: the `ForceOptimizer` of the contacts of all fingers.
         """
 
     def reset(self) -> None:
-        """Start a new episode; before its first tick the scene stands still."""
-
-    def rewind(self) -> None:
-        """Reset the sensors to the state before the first tick."""
+        """
+        Start a new episode and activate the controller; before its first tick the scene
+        stands still.
+        """
 
     def see(self, reading: object | None, external: object, gravity: object, target: object, noise: object | None) -> bool:
         """
-        First half of a control tick: observe the scene and find the wrench to balance.
+        First half of a control tick: read the scene and let the controller observe it.
         Return False if the reading is not finite or the object is lost.
         reading: as for `Scene.read`; None: the scene has read it. external: the wrench (6,) that a perfect sensor reports;
         gravity (3,); target (19,); noise: standard normal numbers (3 + 3N,) if anything is noisy.
         """
 
-    def act(self, due: bool, adjustment: object | None, start: object | None, given: object | None) -> list[float]:
+    def rest(self, external: object, gravity: object, target: object, noise: object | None) -> None:
         """
-        Second half of a tick: find forces, and return the joint torques (M,) [N m] that produce them.
-        due: True if an agent's step begins, with adjustment (K,) [N] of the start. start: (N, 3) [N], contact frames,
-        start of the method; given: (N, 3) [N], contact frames, forces for `Hold.direct`.
+        Set the measured forces as commanded ones, for a hand at rest; arguments as of `see`.
         """
-
-    @property
-    def hold(self) -> Hold:
-        """Behaviour of the fingers in contact."""
-
-    @hold.setter
-    def hold(self, arg: Hold, /) -> None: ...
 
     def begin_step(self) -> None:
         """Begin an agent's step."""
-
-    @property
-    def effort(self) -> Effort: ...
 
     def costs(self) -> Costs:
         """
         Return the costs of the step since `begin_step`, on the contacts currently seen.
         """
-
-    @property
-    def code(self) -> int:
-        """Code of the method's last solve."""
-
-    @property
-    def closure(self) -> bool:
-        """True if the last tick that optimised found a force."""
-
-    def rest(self) -> None:
-        """Set the measured forces as commanded ones, for a hand at rest."""
 
     def outcome(self, target: object, error: object, measured: object) -> Outcome:
         """
@@ -1070,9 +1362,6 @@ class Controller:
         Return the report of a step by name: the method's solution, contacts, forces [N], effort, and an
         outcome with its measured forces (N, 3). The arrays are copies.
         """
-
-    def arrays(self) -> dict[str, NDArray]:
-        """Views of the commands by name; overwritten in place."""
 
     def seen(self) -> dict[str, NDArray]:
         """Views of the observed state by name; overwritten in place."""
@@ -1087,15 +1376,3 @@ class Controller:
     @property
     def exact(self) -> bool:
         """True if the scene is seen without delay and noise."""
-
-    @property
-    def mask(self) -> int:
-        """Fingers that count as in contact: 2^i for finger i."""
-
-    @property
-    def changes(self) -> int:
-        """Number of changes of `mask` since `reset`."""
-
-    @property
-    def peak(self) -> float:
-        """Largest torque since `reset` [N m]."""

@@ -319,6 +319,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         self._loop.reset(self.np_random)
         noise = np.random.default_rng(int(self.np_random.integers(2**63)))
         self._motor_noise = NoiseRows(noise, len(self._torque_limits))
+        self._noise_ticks = episode.controller.noise_ticks
         self._tick, self._time_without_closure = 0, 0.0
         self._failure, self._ended, self._started = "", False, True
         self._plan_acts = (
@@ -471,7 +472,9 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
 
     def _delivered(self, torques: list[float]) -> list[float]:
         """Apply motor strength and noise to the commanded torques, then clip to the torque limits."""
-        delivered = np.array(torques) * (self._strength * (1.0 + self._noise * self._motor_noise()))
+        if self._tick % self._noise_ticks == 0:
+            self._drawn_noise = 1.0 + self._noise * self._motor_noise()
+        delivered = np.array(torques) * (self._strength * self._drawn_noise)
         return np.clip(delivered, -self._torque_limits, self._torque_limits).tolist()
 
     def _apply_plan(self, scene: Scene, tick: int) -> tuple[Array, list[float] | None]:

@@ -8,21 +8,18 @@ from typing import Any
 import numpy as np
 import pytest
 from engines import bullet, needs_bullet
-from hands import controller_alone, grasp_torques, scene_alone
+from hands import grasp_torques, hand_alone, scene_alone
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from grasp_env import core
 from grasp_env.config import EnvConfig
-from grasp_env.control.loop import RELEASE, control_settings
-from grasp_env.control.sensing import sensor_settings
+from grasp_env.control.loop import believed_body
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.sim import ObjectDescription
-from grasp_env.sim.hand import HandDescription, HandKinematics
 from grasp_env.task.motion import motion_target, resting_target
 
 ITEM = ObjectDescription(size=(0.06, 0.1, 0.14), mass=0.3)
-KINEMATICS = HandKinematics(HandDescription.four_finger())
 GRAVITY = np.array([0.0, -9.81, 0.0])
 REST = resting_target(1)[0]
 NO_WRENCH = np.zeros(6)
@@ -36,26 +33,27 @@ def state(position=(0, 0, 0), turn=(0, 0, 0), linear=(0, 0, 0), angular=(0, 0, 0
     return scene
 
 
-def controller(scene: core.Scene) -> core.Controller:
-    """A control loop with the default gains."""
-    config = EnvConfig()
-    return controller_alone(
-        scene, 4, control_settings(config, ITEM, KINEMATICS), sensor_settings(config)
-    )
+RELEASE = core.HandControllerSettings().release
+
+
+def simulated(scene: core.Scene) -> tuple[core.SimulatedHand, core.HandController]:
+    """A simulated hand with the default feedback on the object's pose."""
+    return hand_alone(scene, body=believed_body(EnvConfig(), ITEM))
 
 
 def pose_error(scene: core.Scene, target: np.ndarray) -> np.ndarray:
     """(12,) position, orientation, linear and angular velocity against the target's."""
     error = np.empty(12)
-    controller(scene).outcome(target, error, np.empty((4, 3)))
+    simulated(scene)[0].outcome(target, error, np.empty((4, 3)))
     return error
 
 
 def balanced(scene: core.Scene, target: np.ndarray = REST) -> np.ndarray:
     """The wrench to balance with the default gains, (6,)."""
-    made = controller(scene)
-    made.see(None, NO_WRENCH, GRAVITY, target, None)
-    return made.arrays()["wrench"]
+    hand, controller = simulated(scene)
+    hand.reset()
+    hand.see(None, NO_WRENCH, GRAVITY, target, None)
+    return controller.arrays()["wrench"]
 
 
 def test_pose_error_against_scipy():
@@ -133,24 +131,26 @@ class Trial:
         def pull(torques: list[float], wrench: list[float] | None) -> None:
             s = scene.look()
             frames = loop.frames
+            optimal = loop.controller.arrays()["optimal"]
             matrix = np.zeros((6, 12))
             for finger in loop.fingers:
                 skew = np.cross(np.eye(3), s.points[finger])  # skew @ f = p x f
                 matrix[:3, 3 * finger : 3 * finger + 3] = frames[finger]
                 matrix[3:, 3 * finger : 3 * finger + 3] = skew @ frames[finger]
-            missing = matrix @ loop.force.reshape(-1) + loop.wrench
+            missing = matrix @ optimal.reshape(-1) + loop.wrench
             self.ticks.append(
                 {
                     "fingers": loop.fingers.tolist(),
                     "touching": s.touching > 0,
-                    "force": loop.force.copy(),
+                    "force": optimal.copy(),
                     "closure": loop.closure,
                     "missing": np.abs(missing).max(),
                 }
             )
             if len(self.ticks) <= 5:
                 expected = grasp_torques(scene, np.einsum("nij,nj->ni", frames, loop.force))
-                assert_allclose(torques, expected, atol=1e-9)
+                # forces act at contact points, whose distance from the tips is the overlap
+                assert_allclose(torques, expected, atol=1e-4)
             if len(self.ticks) in ticks:
                 for finger in pulled:
                     link = scene.simulator.world.joints[int(scene.kinematics.tip_links[finger])]
@@ -177,7 +177,7 @@ class Trial:
 @needs_bullet
 @pytest.mark.parametrize("finger", [1, 2])
 def test_a_finger_slips_off_and_comes_back(finger):
-    trial = Trial((finger,), range(51, 61), 200, duration=4.0)
+    trial = Trial((finger,), range(51, 55), 200, duration=4.0)
     others = [k for k in range(4) if k != finger]
     alone = [tick for tick in trial.ticks if tick["fingers"] == others]
     assert len(alone) > 10
@@ -202,7 +202,7 @@ def test_a_finger_slips_off_and_comes_back(finger):
     last = trial.infos[-1]
     assert last["touching"].all()
     assert (last["contacts"], last["failure"], last["contact_changes"] >= 2) == (4, "", True)
-    assert last["drift"] < 1e-4
+    assert last["drift"] < 1e-3  # the springs keep the places at which the fingers landed
     assert last["commanded_force"][finger, 0] > 0.1
     assert last["force_error"] < 0.05
 
@@ -258,11 +258,11 @@ def test_one_missed_tick_does_not_let_a_finger_go():
     env = FourFingerGrasp()
     env.reset(seed=0)
     env.step(np.zeros(6, dtype=np.float32))
-    core, touching = env._loop.core, env.scene.look().touching
+    loop, touching = env._loop, env.scene.look().touching
     held = []
     for touches in (0, 1, 1, 0, 1, 0, 1, 0, 0, 0):  # the thumb
         touching[:] = [touches, 1, 1, 1]
-        core.see(None, NO_WRENCH, env.scene.gravity, REST, None)
-        held.append(core.mask)
+        loop.hand.see(None, NO_WRENCH, env.scene.gravity, REST, None)
+        held.append(loop.controller.mask)
     assert held == [15] * 9 + [14]
     env.close()

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from episodes import episode
+from episodes import NO_SPRINGS, episode
 from numpy.testing import assert_allclose, assert_array_equal
 
 from grasp_env.env import observation
@@ -194,7 +194,7 @@ def test_the_wrench_of_a_reset_lasts_one_episode():
     for _ in range(40):
         info = env.step(ZERO)[4]
     assert_allclose(
-        info["wrench"], wrench + np.array([0.0, -0.2 * 9.81, 0.0, 0.0, 0.0, 0.0]), atol=1e-3
+        info["wrench"], wrench + np.array([0.0, -0.2 * 9.81, 0.0, 0.0, 0.0, 0.0]), atol=5e-3
     )
     env.reset(seed=0)
     assert not np.allclose(env.step(ZERO)[4]["wrench"], info["wrench"], atol=1e-2)
@@ -225,7 +225,10 @@ def test_pictures_are_in_the_world_frame():
         return np.where(times[:, None] > 0.5, [300.0, 0.0, 0.0, 0.0, 0.0, 0.0], 0.0)
 
     env = FourFingerGrasp(
-        render_mode="rgb_array", task={"name": "move", "motion": "rotate"}, disturbance=push
+        render_mode="rgb_array",
+        task={"name": "move", "motion": "rotate"},
+        disturbance=push,
+        controller=NO_SPRINGS,
     )
     env.reset(seed=0)
     for _ in range(25):

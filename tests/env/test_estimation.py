@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hands import controller_alone, scene_alone
+from hands import hand_alone, scene_alone
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
@@ -76,23 +76,22 @@ def hold(
 def estimates(trial: Trial, time: float = 0.0, noise: float = 0.0) -> np.ndarray:
     """(T + 1, 6) estimates of the external wrench along a trial of `hold`."""
     scene, views = scene_alone()
-    control = core.ControlSettings()
     sensors = core.SensorSettings()
     body = core.Body()
     body.mass, body.inertia = MASS, INERTIA.reshape(-1).tolist()
-    control.body = body
     sensors.wrench = core.WrenchSource.estimated
     sensors.tick = TICK
     sensors.tactile_noise = noise
     sensors.keep = keep_factor(time, TICK)
-    made = controller_alone(scene, 4, control, sensors)
+    made, controller = hand_alone(scene, 4, sensors=sensors, body=body)
+    made.reset()
     rows = NoiseRows(np.random.default_rng(0), 15)
     out = []
     for rotation, linear, angular, forces in trial:
         views.rotation[:], views.linear[:], views.angular[:] = rotation, linear, angular
         views.points[:], views.forces[:] = POINTS, forces
         made.see(None, np.full(6, 9.0), GRAVITY, TARGET, rows())  # it must not use the true wrench
-        out.append(made.arrays()["wrench"] - body.wrench(scene, TARGET, GRAVITY))
+        out.append(controller.arrays()["wrench"] - body.wrench(scene, TARGET, GRAVITY))
     return np.array(out)
 
 
@@ -135,7 +134,7 @@ def test_filters_trade_noise_for_lag():
     assert error[0.02] < 0.7 * error[0.3]
 
 
-def look(made: core.Controller, wrench: np.ndarray, noise: np.ndarray) -> Snapshot:
+def look(made: core.SimulatedHand, wrench: np.ndarray, noise: np.ndarray) -> Snapshot:
     """The scene as the controller measures it at the next tick."""
     made.see(None, wrench, GRAVITY, TARGET, noise)
     return Snapshot(**made.seen())
@@ -146,7 +145,7 @@ def test_noise_statistics():
     truth.forces[:] = forces = np.array([[3.0, 0.0, 4.0], [0.0, 0.0, 0.0]])
     sensors = core.SensorSettings()
     sensors.tactile_noise, sensors.pose_noise = 0.1, 1e-3
-    made = controller_alone(scene, 2, sensors=sensors)
+    made, _ = hand_alone(scene, 2, sensors=sensors)
     noise = NoiseRows(np.random.default_rng(0), 9)
     samples = np.empty((4000, 2, 3))
     places = np.empty((4000, 3))
@@ -170,8 +169,9 @@ def test_delays(late, later):
     first tick it stood still."""
     scene, truth = scene_alone()
     sensors = core.SensorSettings()
-    sensors.delay, sensors.wrench_delay = late, later
-    made = controller_alone(scene, sensors=sensors)
+    sensors.joint_delay = sensors.delay = late
+    sensors.wrench_delay = later
+    made, controller = hand_alone(scene, sensors=sensors)
     for _ in range(2):  # a reset forgets
         truth.forces[:] = -1.0
         made.reset()
@@ -180,7 +180,7 @@ def test_delays(late, later):
             seen = look(made, np.full(6, 1.0 + k), np.zeros(15))
             assert (seen.forces == (-1.0 if k < late else k - late)).all()
             known = 0.0 if k < late + later else 1.0 + k - late - later
-            assert_array_equal(made.arrays()["wrench"], known)  # of a body without mass
+            assert_array_equal(controller.arrays()["wrench"], known)  # of a body without mass
 
 
 def test_late_measurements_are_extrapolated():
@@ -190,8 +190,9 @@ def test_late_measurements_are_extrapolated():
     scene = Scene(SceneConfig(clearance=0.03, gravity=(0.0, 0.0, 0.0)))
     joints = scene.config.hand.joint_count
     sensors = core.SensorSettings()
-    sensors.tick, sensors.delay = scene.timestep, late
-    controller = controller_alone(scene.core, sensors=sensors)
+    sensors.tick = scene.timestep
+    sensors.joint_delay = sensors.delay = late
+    controller, _ = hand_alone(scene.core, sensors=sensors)
     controller.reset()
     torques = np.zeros(joints)
     still = (np.zeros(6), np.zeros(3), TARGET, np.zeros(15))

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from episodes import episode
+from episodes import NO_SPRINGS, episode
 
 from grasp_env.config.records import CONTROLLERS
 from grasp_env.sim import HANDS
@@ -51,10 +51,14 @@ def test_disturbances_are_held_and_motions_followed(settings):
     assert np.percentile([info["force_error"] for info in infos], 95) < 0.05
 
 
-def test_payloads_stretch_the_pose_spring():
-    infos = whole(0.02, 200, task=Payload())
-    assert (infos[0]["object_mass"], infos[-1]["object_mass"]) == (0.2, pytest.approx(0.4))
-    assert infos[-1]["drift"] == pytest.approx(9.81 * 0.2 / (0.2 * 30.0**2), rel=0.1)
+def test_payloads_stretch_the_springs():
+    """The feedback on the pose is m (30 rad/s)^2 = 180 N/m; the springs of four fingertips add 400
+    N/m each."""
+    weight = 9.81 * 0.2
+    for stiffness, rel in ((0.0, 0.1), (400.0, 0.25)):  # tips roll
+        infos = whole(0.02, 200, task=Payload(), controller={"grip_stiffness": stiffness})
+        assert (infos[0]["object_mass"], infos[-1]["object_mass"]) == (0.2, pytest.approx(0.4))
+        assert infos[-1]["drift"] == pytest.approx(weight / (180.0 + 4.0 * stiffness), rel=rel)
 
 
 LIGHT = [
@@ -105,12 +109,13 @@ def test_budgets_leave_the_force_valid(budget):
 def test_late_wrenches_move_the_object():
     """The pose spring is m (30 rad/s)^2 = 180 N/m: an unknown 1 N moves it by 5.6 mm, 4 ms late by
     much less."""
+    push = {"disturbance": ConstantWrench((1, 0, 0, 0, 0, 0)), "controller": NO_SPRINGS}
     still, late, never = (
-        episode(None, disturbance=ConstantWrench((1, 0, 0, 0, 0, 0)), **settings)[1]
+        episode(None, **push, **settings)[1]
         for settings in ({}, {"sensors.wrench_delay": 1}, {"sensors.wrench": "none"})
     )
     assert max(info["drift"] for info in still) < 5e-5  # what is left of the settling
-    assert still[-1]["drift"] < 1e-6
+    assert still[-1]["drift"] < 3e-6
     # 1 N for a tick, 0.02 m/s, caught by 30 rad/s
     assert 5e-5 < max(info["drift"] for info in late) < 1e-3
     assert never[-1]["drift"] == pytest.approx(1 / 180, rel=0.02)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from engines import needs_bullet
+from episodes import NO_SPRINGS
 
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.sim import HandDescription
@@ -24,7 +25,7 @@ STRONG = RandomWrench(force=2.0, moment=0.06)
 def test_pushes_keep_their_direction():
     """A moment that the controller does not know turns the object about z; the first push points to
     +x."""
-    env = FourFingerGrasp(task="six_directions", sensors={"wrench": "none"})
+    env = FourFingerGrasp(task="six_directions", sensors={"wrench": "none"}, controller=NO_SPRINGS)
     env.reset(seed=0, options={"wrench": [0.0, 0.0, 0.0, 0.0, 0.0, 0.1]})
     advance = env.scene.advance
     pushes = []

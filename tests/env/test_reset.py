@@ -94,7 +94,9 @@ class Scripted:
             scene_alone()[0],
             SimpleNamespace(object=ObjectDescription()),
         )
-        self.kinematics = SimpleNamespace(mass_matrix=lambda angles: np.eye(1), hand=None)
+        self.kinematics = SimpleNamespace(
+            mass_matrix=lambda angles: np.eye(1), hand=None, torque_limits=np.ones(1)
+        )
         self.ticks, self._quiet, self._disturbs = 0, [*quiet, *repeat(False, 2000)], disturbs
         settings = EnvConfig()
         self.loop: Any = SimpleNamespace(
@@ -106,6 +108,9 @@ class Scripted:
             reach=lambda gravity, target: [0.0],
             tick=lambda *given, due: [0.0],
             friction=0.4,
+            torques=np.zeros(1),
+            controller=SimpleNamespace(rising=False),
+            effort=SimpleNamespace(saturated=False),
         )
 
     def advance(self, torques: list[float], wrench: Any) -> None:

@@ -21,5 +21,6 @@ NB_MODULE(_core, m) {
   bind_grasping(m);
   bind_scene(m);
   bind_gather(m);
-  bind_controller(m);
+  bind_hand_controller(m);
+  bind_simulated_hand(m);
 }

@@ -23,4 +23,5 @@ void bind_tree(nb::module_& m);
 void bind_grasping(nb::module_& m);
 void bind_scene(nb::module_& m);
 void bind_gather(nb::module_& m);
-void bind_controller(nb::module_& m);
+void bind_hand_controller(nb::module_& m);
+void bind_simulated_hand(nb::module_& m);

@@ -5,6 +5,7 @@
 #include <nanobind/stl/unique_ptr.h>
 #include <nanobind/stl/vector.h>
 
+#include <grasp/hand/mobility.hpp>
 #include <grasp/hand/reach.hpp>
 #include <grasp/hand/tree_file.hpp>
 
@@ -151,6 +152,14 @@ void bind_tree(nb::module_& m) {
       .def("jacobian", &jacobian, "angles"_a, "link"_a, "place"_a, "jacobian"_a,
            "Write the velocity of a point (3,) [m] of a link per joint speed, world frame, into "
            "(3, M).")
+      .def(
+          "mobility",
+          [](const std::shared_ptr<Tree>& tree, nb::handle angles) {
+            const Mobility of(tree, in(angles, tree->joints()).data());
+            return std::make_pair(of.tips, of.joints);
+          },
+          "angles"_a,
+          "Mobility of tips (N,) [1/kg] and joints (M,) [1/(kg m^2)]: see mobility.hpp.")
       .def("mass_matrix", &mass_matrix, "angles"_a, "matrix"_a,
            "Write the mass matrix (M, M) [kg m^2]; rows and columns of coupled joints are zero.")
       .def("gravity_torques", &gravity_torques, "angles"_a, "gravity"_a, "torques"_a,

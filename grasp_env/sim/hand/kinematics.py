@@ -236,16 +236,8 @@ class HandKinematics:
             acceleration of each joint per torque, when all joints have springs, (M,)
             [1/(kg m^2)]; 0 for coupled joints.
         """
-        free = self.motors
-        inverse = np.linalg.inv(self.mass_matrix(angles)[np.ix_(free, free)])
-        tips = np.empty(self.hand.finger_count)
-        for finger in range(self.hand.finger_count):
-            jacobian = self.jacobian(angles, finger)[:, free]
-            tips[finger] = np.linalg.eigvalsh(jacobian @ inverse @ jacobian.T)[-1]
-        joints = np.zeros(self.hand.joint_count)
-        scale = np.sqrt(np.diag(inverse))
-        joints[free] = np.diag(inverse) * np.linalg.eigvalsh(inverse / np.outer(scale, scale))[-1]
-        return tips, joints
+        tips, joints = self.tree.mobility(self._angles(angles))
+        return np.array(tips), np.array(joints)
 
     def solve(self, tips: ArrayLike, start: ArrayLike | None = None) -> Array:
         """Find joint angles within the limits that bring the tips to the given centres.

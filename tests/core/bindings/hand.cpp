@@ -1,5 +1,5 @@
 // A hand of four fingers around a cube, without a simulator: control ticks as a loop makes them.
-#include <grasp/hand/controller.hpp>
+#include <grasp/hand/simulated_hand.hpp>
 
 #include "allocations.hpp"
 #include <nanobind/stl/string.h>
@@ -41,7 +41,8 @@ struct Case {
 struct Trial {
   std::shared_ptr<Tree> tree;
   std::shared_ptr<Scene> scene;
-  std::unique_ptr<Controller> controller;
+  std::shared_ptr<HandController> controller = std::make_shared<HandController>();
+  std::unique_ptr<SimulatedHand> hand;
   std::vector<double> reading, noise, measured;
   int ticks = 0;
   double sum = 0.0;  // of all torques, so that nothing is left out
@@ -64,21 +65,18 @@ struct Trial {
                                   : Contacts::from(places, inwards, friction);
     const ForceOptimizer method({contacts},
                                 {.method = variant.method, .tolerance = 1e-6, .limit = 5000});
-    ControlSettings settings;
-    settings.body.mass = 0.2;
-    settings.body.position_gain = 100.0;
-    settings.body.position_damping = 8.0;
-    settings.body.rotation_gain = 400.0;
-    settings.body.rotation_damping = 40.0;
-    for (int k = 0; k < 3; ++k)
-      settings.body.inertia.rows[k] =
-          Point{k == 0 ? 1e-4 : 0.0, k == 1 ? 1e-4 : 0.0, k == 2 ? 1e-4 : 0.0};
-    settings.reach.assign(4, {60.0, 2.0, 1.0});
-    settings.spring = {800.0, 4.0, infinity};
-    settings.posture.assign(tree->joints(), {0.01, 0.001});
-    settings.most_change = 0.05;
-    settings.reach_depth = 0.005;
+    HandControllerSettings settings;
+    settings.rate = 250.0;
+    settings.force_rate = 12.5;
     settings.squeeze = 20.0;
+    Body object;
+    object.mass = 0.2;
+    object.position_gain = 100.0;
+    object.position_damping = 8.0;
+    object.rotation_gain = 400.0;
+    object.rotation_damping = 40.0;
+    for (int k = 0; k < 3; ++k)
+      object.inertia.rows[k] = Point{k == 0 ? 1e-4 : 0.0, k == 1 ? 1e-4 : 0.0, k == 2 ? 1e-4 : 0.0};
     settings.directions.resize(12 * 2);
     for (int j = 0; j < 12; ++j) {
       settings.directions[2 * j] = inwards[j];
@@ -89,20 +87,22 @@ struct Trial {
     sensors.keep = 0.5;
     if (variant.late) {
       sensors.wrench = WrenchSource::estimated;
+      sensors.joint_delay = 1;
       sensors.delay = 2;
       sensors.pose_noise = 1e-5;
       sensors.tactile_noise = 0.02;
     }
-    controller = std::make_unique<Controller>(scene, method, settings, sensors);
+    controller->configure(tree, settings, Calibration::newton_metres(*tree), method);
+    hand = std::make_unique<SimulatedHand>(scene, controller, method, object, sensors);
     for (int i = 0; i < 4; ++i) {
-      controller->goals[i] = point(&places[3 * i]);
-      controller->inwards[i] = point(&inwards[3 * i]);
+      controller->springs().goals[i] = point(&places[3 * i]);
+      controller->springs().inwards[i] = point(&inwards[3 * i]);
     }
     reading.resize(Reading::size(tree->joints(), 4));
     noise.resize(15);
     measured.resize(12);
     read();
-    controller->reset();
+    hand->reset();
   }
 
   // The next of a sequence: all wander a little, and now and then a finger loses its force.
@@ -134,8 +134,7 @@ struct Trial {
   // fingers come and go.
   void tick() {
     read();
-    Target target{};
-    target.quaternion[3] = 1.0;
+    const Target target;
     const double wrench[] = {0.5, -0.2, 0.1, 0.01, 0.0, -0.01};
     const double adjustment[] = {0.5, -0.3};
     const double forces[12] = {2.0, 0.1, 0.0, 2.0, 0.0, 0.1, 2.0, 0.0, 0.0, 2.0, 0.1, 0.0};
@@ -144,16 +143,16 @@ struct Trial {
     constexpr Hold KINDS[] = {Hold::optimized, Hold::optimized, Hold::squeeze,
                               Hold::direct,    Hold::place,     Hold::reach};
     controller->hold = KINDS[ticks / 50 % 6];
-    Controller::StepRequest step;
+    StepRequest step;
     if (controller->hold == Hold::direct)
       step.force = forces;
     else if (ticks % 3 == 0)
       step.adjustment = adjustment;
-    const Controller::Known known{reading, wrench, noise.data(), {0.0, -9.81, 0.0}, target};
-    if (!controller->tick(known, ticks % 5 == 0 ? &step : nullptr))
+    if (!hand->see({reading, wrench, noise.data(), {0.0, -9.81, 0.0}, target}))
       throw std::runtime_error("a bad reading");
+    controller->act(ticks % 5 == 0 ? &step : nullptr);
     for (double torque : controller->torques) sum += torque;
-    sum += controller->outcome(target, measured.data()).drift;
+    sum += hand->outcome(target, measured.data()).drift;
   }
 };
 
@@ -165,9 +164,9 @@ nb::tuple ticks(int count, int more, bool late, bool soft, bool shared, double t
   const long allocated = counted([&] {
     for (int k = 0; k < count; ++k) trial.tick();
   });
-  const Controller& c = *trial.controller;
-  return nb::make_tuple(allocated, trial.sum, c.effort.followed + c.effort.limited, c.changes,
-                        c.peak);
+  const HandController& c = *trial.controller;
+  const Effort& effort = c.forces().effort;
+  return nb::make_tuple(allocated, trial.sum, effort.followed + effort.limited, c.changes, c.peak);
 }
 
 }  // namespace

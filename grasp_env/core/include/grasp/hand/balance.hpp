@@ -6,10 +6,8 @@ namespace grasp {
 
 // Target pose and motion of the object, world frame.
 struct Target {
-  Point position;                                   // [m]
-  double quaternion[4];                             // (x, y, z, w)
-  Point linear, angular;                            // [m/s], [rad/s]
-  Point linear_acceleration, angular_acceleration;  // [m/s^2], [rad/s^2]
+  BodyRow body;
+  Point linear_acceleration{}, angular_acceleration{};  // [m/s^2], [rad/s^2]
   static constexpr int SIZE = 19;
 };
 static_assert(sizeof(Target) == Target::SIZE * sizeof(double));
@@ -19,11 +17,11 @@ struct PoseError {
   Point position, orientation, linear, angular;
 
   PoseError(const Snapshot& seen, const Target& target)
-      : position(seen.position - target.position),
-        orientation(
-            (seen.rotation * Rotation::of_quaternion(target.quaternion).transposed()).vector()),
-        linear(seen.linear - target.linear),
-        angular(seen.angular - target.angular) {}
+      : position(seen.position - target.body.position),
+        orientation((seen.rotation * Rotation::of_quaternion(target.body.quaternion).transposed())
+                        .vector()),
+        linear(seen.linear - target.body.linear),
+        angular(seen.angular - target.body.angular) {}
 };
 
 // The controller's model of the object, and the gains of its pose feedback.
@@ -41,7 +39,7 @@ struct Body {
     const Point force = seen.to_object(mass * (gravity - target.linear_acceleration) + pull);
     const Point twist = rotation_gain * error.orientation + rotation_damping * error.angular -
                         target.angular_acceleration;
-    const Point turn = seen.to_object(target.angular);
+    const Point turn = seen.to_object(target.body.angular);
     const Point moment = inertia * seen.to_object(twist) - cross(turn, inertia * turn);
     return {force.u, force.o, force.t, moment.u, moment.o, moment.t};
   }

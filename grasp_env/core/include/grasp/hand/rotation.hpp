@@ -1,5 +1,6 @@
 // Rotations in space.
 #pragma once
+#include <algorithm>
 #include <grasp/contacts/geometry.hpp>
 
 namespace grasp {
@@ -50,6 +51,38 @@ struct Rotation {
     const double cosine = 0.5 * (rows[0].u + rows[1].o + rows[2].t - 1.0);
     return 0.5 * (sine > 1e-9 ? std::atan2(sine, cosine) / sine : 1.0) * twice;
   }
+
+  // Write the unit quaternion (x, y, z, w), w >= 0.
+  void quaternion(double* q) const {
+    // the largest of the four squares, 4 x^2 .. 4 w^2, keeps the others' digits
+    const double trace = rows[0].u + rows[1].o + rows[2].t;
+    double squares[4] = {1.0 + 2.0 * rows[0].u - trace, 1.0 + 2.0 * rows[1].o - trace,
+                         1.0 + 2.0 * rows[2].t - trace, 1.0 + trace};
+    const int k = int(std::max_element(squares, squares + 4) - squares);
+    const auto sum = [&](int a, int b) { return rows[a][b] + rows[b][a]; };
+    const double turns[3] = {rows[2].o - rows[1].t, rows[0].t - rows[2].u, rows[1].u - rows[0].o};
+    for (int a = 0; a < 4; ++a) {
+      if (a == k)
+        q[a] = squares[k];
+      else if (a == 3 || k == 3)
+        q[a] = turns[std::min(a, k)];
+      else
+        q[a] = sum(a, k);
+    }
+    const double scale = std::copysign(0.5 / std::sqrt(squares[k]), q[3]);
+    for (int a = 0; a < 4; ++a) q[a] *= scale;
+  }
+};
+
+// Pose and velocity of a body.
+struct BodyRow {
+  Point position{0.0, 0.0, 0.0};                // of its centre [m]
+  double quaternion[4] = {0.0, 0.0, 0.0, 1.0};  // unit (x, y, z, w)
+  Point linear{0.0, 0.0, 0.0};                  // [m/s]
+  Point angular{0.0, 0.0, 0.0};                 // [rad/s]
+
+  // Velocity of a point that moves with the body [m/s].
+  Point velocity(const Point& place) const { return linear + cross(angular, place - position); }
 };
 
 }  // namespace grasp

@@ -47,8 +47,9 @@ enum class WrenchSource { measured, estimated, none };
 
 struct SensorSettings {
   WrenchSource wrench = WrenchSource::measured;
-  double tick = 0.0, keep = 0.0;    // [s]; filter of the estimate: see `WrenchEstimator`
-  int delay = 0, wrench_delay = 0;  // ticks: of everything, and of measured wrenches in addition
+  double tick = 0.0, keep = 0.0;  // [s]; filter of the estimate: see `WrenchEstimator`
+  // ticks: of joints; of everything else; of measured wrenches in addition to that
+  int joint_delay = 0, delay = 0, wrench_delay = 0;
   // standard deviations per axis: [m], fraction of the force
   double pose_noise = 0.0, tactile_noise = 0.0;
 };
@@ -63,14 +64,15 @@ class Sensors {
         estimator_(settings.tick, settings.keep),
         seen_(scene_->now),
         reported_(settings.delay + settings.wrench_delay + 1) {
-    if (!exact()) delayed_.assign(settings.delay + 1, seen_);  // `perfect` is not set yet
+    if (!exact())  // `perfect` is not set yet
+      delayed_.assign(std::max(settings.delay, settings.joint_delay) + 1, seen_);
   }
   Sensors(const Sensors&) = delete;
 
   bool perfect = false;  // ignore delay and noise, while the hand takes over the object
   bool exact() const {
-    return perfect ||
-           !(settings.delay || settings.pose_noise > 0.0 || settings.tactile_noise > 0.0);
+    return perfect || !(settings.delay || settings.joint_delay || settings.pose_noise > 0.0 ||
+                        settings.tactile_noise > 0.0);
   }
   const Snapshot& seen() const { return exact() ? scene_->now : seen_; }
   Vec6 external{};  // known wrench on the object [N, N m], object frame
@@ -110,15 +112,21 @@ class Sensors {
   std::size_t tick_ = 0;
 
   void observe_with_delay(const double* noise) {
-    delayed_[tick_ % delayed_.size()] = scene_->now;
-    seen_ = delayed_[(tick_ + 1) % delayed_.size()];
+    const std::size_t size = delayed_.size();
+    const auto ago = [&](int ticks) -> const Snapshot& {
+      return delayed_[(tick_ + size - ticks) % size];
+    };
+    delayed_[tick_ % size] = scene_->now;
+    seen_ = ago(settings.delay);
+    seen_.angles = ago(settings.joint_delay).angles;
+    seen_.rates = ago(settings.joint_delay).rates;
     seen_.position += settings.pose_noise * point(noise);
     for (std::size_t i = 0; i < seen_.forces.size(); ++i)
       seen_.forces[i] +=
           settings.tactile_noise * length(seen_.forces[i]) * point(noise + 3 + 3 * i);
-    if (settings.delay)
+    if (settings.delay || settings.joint_delay)
       seen_.advance(*scene_->tree, scene_->surface, scene_->gravity,
-                    settings.delay * settings.tick);
+                    settings.joint_delay * settings.tick, settings.delay * settings.tick);
   }
 };
 

@@ -11,12 +11,6 @@
 
 namespace grasp {
 
-// The object in a reading, world frame.
-struct BodyRow {
-  Point position;         // of its centre [m]
-  double quaternion[4];   // unit (x, y, z, w)
-  Point linear, angular;  // [m/s], [rad/s]
-};
 // A contact of the hand with the object, world frame.
 struct ContactRow {
   double link;  // of the hand; -1: the palm
@@ -110,12 +104,13 @@ class Snapshot {
     return true;
   }
 
-  // Move joints and object on by a time [s] at their velocities; forces stay. Without this a delay
-  // removes damping: forces that press on a turned object as it was turn it further.
-  void advance(const Tree& tree, const Surface& surface, const Point& gravity, double time) {
+  // Move the joints and the object on by a time each [s] at their velocities; forces stay. Without
+  // this a delay removes damping: forces that press on a turned object as it was turn it further.
+  void advance(const Tree& tree, const Surface& surface, const Point& gravity, double joint_time,
+               double time) {
     for (int j = 0; j < tree.joints(); ++j)
-      angles[j] =
-          std::min(std::max(angles[j] + time * rates[j], tree.links[j].lower), tree.links[j].upper);
+      angles[j] = std::min(std::max(angles[j] + joint_time * rates[j], tree.links[j].lower),
+                           tree.links[j].upper);
     position += time * linear;
     const double rate = length(angular);
     if (rate * time > 1e-12)

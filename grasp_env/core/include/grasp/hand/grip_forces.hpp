@@ -1,0 +1,468 @@
+// The forces of the fingers in contact at an update, and what is done where none balance.
+#pragma once
+#include <grasp/hand/hand_model.hpp>
+#include <grasp/hand/hand_settings.hpp>
+#include <grasp/optimizer.hpp>
+#include <grasp/phi/elastic.hpp>
+
+namespace grasp {
+
+// How the forces of an update balance the wrench, the best first.
+enum class Balance {
+  within_margin,
+  within_cones,  // with less than the margin
+  overloaded,    // beyond the motors' limits, but least
+  pivoting,      // all but a moment that no contact resists, as that about the line through two
+  none           // the forces inside the cones with the smallest imbalance
+};
+
+class GripForces {
+ public:
+  std::vector<double> force;     // (N, 3) [N], contact frames
+  std::vector<double> torsion;   // (N,) moments about the normals [N m]
+  std::vector<double> solution;  // row of the method's last solve
+  std::vector<double> preload;   // (N,) [N] of the margin: grows after a finger has landed
+  // (N,) [N], object frame: forces of the springs of touching fingers, which are given
+  std::vector<Point> springs;
+  Balance balance = Balance::within_margin;
+  Effort effort;
+
+  // The model must outlive this object. Throws std::invalid_argument unless the method has one
+  // contact per finger.
+  GripForces(HandModel& model, const ForceOptimizer& method, const HandControllerSettings& settings)
+      : force(3 * model.tree->fingers()),
+        torsion(model.tree->fingers()),
+        solution(method.size()),
+        preload(torsion),
+        springs(model.tree->fingers()),
+        model_(model),
+        settings_(settings),
+        method_(checked(method, model)),
+        follow_({method.contacts(), {}, method.margin()}, settings.follow),
+        within_(within(model, method, settings)),
+        within_margin_(narrowed(method)),
+        elastic_(model.tree->fingers()),
+        follow_row_(follow_.size()),
+        within_row_(within_.size()),
+        last_row_(within_row_),
+        last_force_(force),
+        direct_(force),
+        squeezed_(force),
+        adjustment_(force),
+        lasting_(springs),
+        torques_(model.tree->joints()),
+        more_torques_(torques_) {}
+  GripForces(const GripForces&) = delete;
+
+  void reset() {
+    std::fill(force.begin(), force.end(), 0.0);
+    std::fill(torsion.begin(), torsion.end(), 0.0);
+    std::fill(preload.begin(), preload.end(), 0.0);
+    Record(last_row_.data(), model_.tree->fingers()).summary() = {};
+    forget_solution();
+    std::fill(springs.begin(), springs.end(), Point{0.0, 0.0, 0.0});
+    std::fill(lasting_.begin(), lasting_.end(), Point{0.0, 0.0, 0.0});
+    squeezed_mask_ = 0;
+    has_last_ = near_limits_ = false;
+    balance = Balance::within_margin;
+    effort = {};
+  }
+  // The forces are those of a hand at rest, (N, 3) [N], contact frames.
+  void rest_at(std::span<const double> forces) {
+    std::copy(forces.begin(), forces.end(), force.begin());
+  }
+
+  // The force of a spring [N], object frame, without what would take more than half of the last
+  // normal force of its finger.
+  Point keeping_contact(int i, const Point& spring) const {
+    const Point inward = model_.axis(i, 0);
+    const double pull = dot(spring, inward) + 0.5 * force[3 * i];
+    return pull < 0.0 ? spring - pull * inward : spring;
+  }
+  // Set the preloads of the fingers of a mask, for forces within the margin. The preload of a
+  // finger is that of the margin, and what keeps the lasting force of its spring inside the cone:
+  // |t + t'| <= mu (n - p + n') wherever |t| <= mu (n - p). It grows as fast as a force may, from
+  // zero when a finger lands. period: [s] since the last update.
+  void set_preload(std::uint64_t mask, double period) {
+    const double most = settings_.force_rate * period;
+    const double share = period / (period + LASTING);
+    bool differs = false;
+    for (std::size_t i = 0; i < preload.size(); ++i) {
+      const double given = method_.margin().preload[int(i)];
+      const bool on = mask >> i & 1;
+      lasting_[i] = on ? lasting_[i] + share * (springs[i] - lasting_[i]) : Point{0.0, 0.0, 0.0};
+      const double whole = on ? std::max(given, carrying(int(i))) : 0.0;
+      preload[i] = !on ? 0.0 : has_last_ ? std::min(whole, preload[i] + most) : whole;
+      differs = differs || (on && preload[i] != given);
+    }
+    margin_.reset();
+    if (differs) margin_ = Margin{method_.margin().friction, preload};
+  }
+  // Find the forces of the fingers of a mask, with the model's bias and these preloads. period: [s]
+  // since the last update. step: an agent's step that begins.
+  void find(Hold hold, const HandState& state, std::uint64_t mask, double period,
+            const StepRequest* step) {
+    state_ = &state;
+    mask_ = mask;
+    most_change_ = settings_.force_rate * period;
+    last_force_ = force;  // copied, not swapped: views of it stay valid
+    std::fill(force.begin(), force.end(), 0.0);
+    std::fill(torsion.begin(), torsion.end(), 0.0);
+    balance = mask || hold != Hold::optimized ? Balance::within_margin : Balance::none;
+    if (step) forget_solution();
+    const bool pushes = mask && hold != Hold::place && hold != Hold::reach;
+    if (pushes && hold == Hold::optimized)
+      optimise(step);
+    else if (pushes)
+      give(hold, step);
+    store(pushes);
+  }
+  // The same forces within the motors' limits for another bias: the one at hand leaves no room.
+  void find_within_limits() {
+    if (keep_limits(last_row_.data())) store(true);
+  }
+  // True if the motors cannot give what balances within the margin.
+  bool exceeds_limits() const { return balance == Balance::overloaded; }
+  Record last() const { return Record(const_cast<double*>(last_row_.data())); }
+
+ private:
+  // fraction of the torque limits: below it, the next update solves without them
+  static constexpr double NEAR = 0.9;
+  // smallest normal force times friction of a finger that has just landed [N]
+  static constexpr double LIGHT = 1e-2;
+  // [s] forces of springs that last longer need normal force; errors of the motors are shorter
+  static constexpr double LASTING = 0.03;
+  HandModel& model_;
+  const HandControllerSettings settings_;
+  ForceOptimizer method_;
+  // Newton from the last command on the cones; within the motors' limits
+  ForceOptimizer follow_, within_;
+  Contacts within_margin_;  // the method's contacts with the share of friction of its margin
+  ElasticBalance elastic_;
+  // solution rows of these solvers, and the last command as such a row
+  std::vector<double> follow_row_, within_row_, last_row_;
+  const HandState* state_ = nullptr;  // of this update
+  std::uint64_t mask_ = 0;
+  double most_change_ = 0.0;  // [N]
+  Vec6 asked_{};              // wrench that the forces of this update balance
+  // margin of this update, if it is another one than the method's
+  std::optional<Margin> margin_;
+  bool has_last_ = false;  // there is a last command
+  bool near_limits_ = false, exceeds_limits_ = false;
+  std::uint64_t squeezed_mask_ = 0;  // fingers for which `squeezed_` was computed
+  // (N, 3) [N], contact frames: the last command; forces of `Hold::direct` and `Hold::squeeze`; in
+  // the object frame: the adjustment
+  std::vector<double> last_force_, direct_, squeezed_, adjustment_;
+  std::vector<Point> lasting_;  // (N,) filtered forces of the springs [N], object frame
+  std::vector<double> torques_, more_torques_;  // (M,) work space
+
+  static const ForceOptimizer& checked(const ForceOptimizer& method, const HandModel& model) {
+    if (method.contacts().count != model.tree->fingers())
+      throw std::invalid_argument("the method needs one contact per finger");
+    return method;
+  }
+  static Contacts narrowed(const ForceOptimizer& method) {
+    Contacts contacts = method.contacts();
+    contacts.narrow(method.margin().friction);
+    return contacts;
+  }
+  static ForceOptimizer within(const HandModel& model, const ForceOptimizer& method,
+                               const HandControllerSettings& settings) {
+    const auto limited = [](double limit) { return limit < infinity; };
+    return ForceOptimizer({method.contacts(),
+                           {.jacobian = model.jacobian(), .torque_limit = model.motor_limits()},
+                           method.margin()},
+                          {.tolerance = settings.follow.tolerance,
+                           .limit = settings.follow.limit,
+                           .elastic = std::ranges::any_of(model.motor_limits(), limited)});
+  }
+
+  void forget_solution() { Record(solution.data(), model_.tree->fingers()).summary() = {}; }
+  const double* positions() const { return (*state_)[POSITIONS].data(); }
+  Changes contacts() const {
+    return {.positions = (*state_)[POSITIONS],
+            .normals = (*state_)[NORMALS],
+            .contacts = mask_,
+            .margin = margin_};
+  }
+  bool can_give(const double* forces, double part) {
+    model_.torques_of(mask_, forces, torsion.data(), torques_);
+    return model_.can_give(torques_, part);
+  }
+
+  // --- optimal forces
+
+  void optimise(const StepRequest* step) {
+    asked_ = wrench();
+    if (has_last_) lift_landed_forces();
+    if (step || !has_last_ || !near_limits_ || !keep_limits(last_row_.data())) {
+      const Record first = step ? by_method(*step) : follow();
+      // a flow does not solve what few contacts can balance
+      const bool few = step && first.code() == RANK_LOST;
+      const Record row = few ? follow() : first;
+      const bool solved = is_moderate(row);
+      if (!solved && !balance_less()) return balance_elastically();
+      if (solved) set_force(row);
+      const bool by_step = solved && step && !few;
+      if (can_give(force.data(), 1.0))
+        near_limits_ = false;
+      else
+        keep_limits(has_last_ && near_limits_ ? last_row_.data()
+                                              : (by_step ? solution : follow_row_).data());
+    }
+    if (has_last_) bound_change();
+  }
+  void set_force(const Record& row) {
+    std::copy_n(row.force(), force.size(), force.data());
+    std::copy_n(row.torsion(), torsion.size(), torsion.data());
+  }
+  Record by_method(const StepRequest& step) {
+    Request request{.wrench = asked_.data(), .now = contacts(), .start = step.start};
+    if (step.start == Start::given) request.force = step.force;
+    if (settings_.remembers && has_last_) request.previous = last_row_.data();
+    if (!step.adjustment.empty()) {
+      adjust(step.adjustment);
+      request.adjustment = adjustment_;
+    }
+    method_.solve(request, solution.data());
+    const Record row(solution.data());
+    if (row.has_force()) {
+      effort.iterations += int(row.summary().iterations);
+      effort.trials += int(row.summary().trials);
+    }
+    return row;
+  }
+  Record follow() {
+    follow_.solve(from_last(), follow_row_.data());
+    const Record row(follow_row_.data());
+    effort.followed += int(row.summary().iterations);
+    return row;
+  }
+  Request from_last() const {
+    return {.wrench = asked_.data(),
+            .now = contacts(),
+            .start = Start::previous,
+            .previous = has_last_ ? last_row_.data() : nullptr};
+  }
+  // Solve by Newton within the motors' limits, from an earlier force. Return false if none was
+  // found.
+  bool keep_limits(const double* previous) {
+    within_.solve({.wrench = asked_.data(),
+                   .now = model_.limited(contacts()),
+                   .start = Start::previous,
+                   .previous = previous},
+                  within_row_.data());
+    const Record row(within_row_.data());
+    effort.limited += int(row.summary().iterations);
+    exceeds_limits_ = row.code() == LIMITS_EXCEEDED;
+    if (exceeds_limits_) balance = Balance::overloaded;
+    if (row.has_force()) set_force(row);
+    near_limits_ = !can_give(force.data(), NEAR);
+    return row.has_force();
+  }
+  void adjust(Doubles coordinates) {
+    const std::size_t columns = coordinates.size();
+    for (std::size_t j = 0; j < adjustment_.size(); ++j) {
+      adjustment_[j] = 0.0;
+      for (std::size_t k = 0; k < columns; ++k)
+        adjustment_[j] += settings_.directions[columns * j + k] * coordinates[k];
+    }
+  }
+
+  // --- preloads
+
+  // Normal force [N] that keeps the lasting force of a spring inside the cone.
+  double carrying(int i) const {
+    const double* scale = &within_margin_.scale[3 * i];
+    if (!(scale[0] > 0.0)) return 0.0;
+    const double side = std::hypot(scale[1] * dot(lasting_[i], model_.axis(i, 1)),
+                                   scale[2] * dot(lasting_[i], model_.axis(i, 2)));
+    return std::max(side / scale[0] - dot(lasting_[i], model_.axis(i, 0)), 0.0);
+  }
+  // Move the last command of a finger that has just landed into its cone.
+  void lift_landed_forces() {
+    const Record row(last_row_.data());
+    each_finger(mask_, [&](int i) {
+      double* f = row.force() + 3 * i;
+      const double* scale = &within_margin_.scale[3 * i];
+      const double turning = within_margin_.torsion_scale(i) * row.torsion()[i];
+      const double side = std::hypot(scale[1] * f[1], scale[2] * f[2], turning);
+      if (!(scale[0] * (f[0] - preload[i]) > side))
+        f[0] = preload[i] + std::max(1.05 * side, LIGHT) / scale[0];
+    });
+  }
+  // Keep the command for the next update.
+  void store(bool pushes) {
+    has_last_ = pushes;
+    if (!pushes) return;
+    const Record row(last_row_.data(), model_.tree->fingers());
+    row.summary().code = near_limits_ && exceeds_limits_ ? LIMITS_EXCEEDED : CONVERGED;
+    row.summary().contacts = model_.tree->fingers();
+    std::copy(force.begin(), force.end(), row.force());
+    std::copy(torsion.begin(), torsion.end(), row.torsion());
+    std::copy(model_.frames.begin(), model_.frames.end(), row.frames());
+  }
+  // Move the forces towards the last command, rebalanced, until no component differs by more than
+  // `most_change_`.
+  void bound_change() {
+    const auto change = [&](const double* then) {
+      double most = 0.0;
+      each_finger(mask_, [&](int i) {
+        for (int j = 3 * i; j < 3 * i + 3; ++j) most = std::max(most, std::abs(force[j] - then[j]));
+      });
+      return most;
+    };
+    if (change(last_force_.data()) <= most_change_) return;
+    if (follow_.start(from_last(), follow_row_.data()) != STARTED) return;
+    const Record before(follow_row_.data());
+    const double moved = change(before.force());
+    if (moved <= most_change_) return;
+    const double share = within_limits(before, most_change_ / moved);
+    for (std::size_t j = 0; j < force.size(); ++j)
+      force[j] = before.force()[j] + share * (force[j] - before.force()[j]);
+    for (std::size_t i = 0; i < torsion.size(); ++i)
+      torsion[i] = before.torsion()[i] + share * (torsion[i] - before.torsion()[i]);
+  }
+  // The smallest fraction >= `share` of the way from `before` to the forces that is within the
+  // torque limits, if the forces are.
+  double within_limits(const Record& before, double share) {
+    model_.torques_of(mask_, before.force(), before.torsion(), torques_);
+    model_.torques_of(mask_, force.data(), torsion.data(), more_torques_);
+    for (int j = 0; j < model_.tree->joints(); ++j) {
+      const double limit = model_.limits[j];
+      const double from = torques_[j];
+      const double way = more_torques_[j] - from;
+      if (std::abs(more_torques_[j]) <= limit && std::abs(from + share * way) > limit)
+        share = std::min(1.0, (std::copysign(limit, from) - from) / way);
+    }
+    return share;
+  }
+
+  // --- where no force within the margin balances
+
+  // Balance with less than the margin; if several contacts cannot resist a moment, all but that.
+  // Return false if that is impossible, too.
+  bool balance_less() {
+    const std::optional<Margin> wanted = margin_;
+    const bool has_margin = method_.margin().friction < 1.0 ||
+                            std::ranges::any_of(preload, [](double s) { return s > 0.0; });
+    if (has_margin) {
+      margin_ = Margin{};
+      if (const Record row = follow(); is_moderate(row)) {
+        balance = Balance::within_cones;
+        set_force(row);
+        return true;
+      }
+      margin_ = wanted;
+    }
+    // a single fingertip does not stop an object from turning
+    if (std::popcount(mask_) < 2) return false;
+    const std::optional<Vec6> rest =
+        follow_.within_reach(std::span<const double, 6>(asked_), contacts());
+    if (!rest) return false;
+    asked_ = *rest;
+    const Record row = follow();
+    if (!is_moderate(row)) return false;
+    balance = Balance::pivoting;
+    set_force(row);
+    return true;
+  }
+  // True for a force that is not far above the last one and what the wrench calls for: close to the
+  // limit of what contacts can balance, forces grow beyond all bounds, and crush or shoot away the
+  // object.
+  bool is_moderate(const Record& row) const {
+    constexpr double MUCH = 5.0;
+    if (!row.has_force()) return false;
+    double before = 0.0;
+    double now = 0.0;
+    double friction = infinity;
+    int fingers = 0;
+    Point places[64];
+    each_finger(mask_, [&](int i) {
+      before += last_force_[3 * i];
+      now += row.force()[3 * i];
+      friction = std::min(friction, within_margin_.scale[3 * i]);
+      places[fingers++] = state_->position(i);
+    });
+    const UnitFrame unit(fingers, [&](int k) { return places[k]; });
+    return now <= MUCH * (before + size(unit.of(asked_)) / friction);
+  }
+  // Minimise the imbalance within the margin, from the last forces.
+  void balance_elastically() {
+    balance = Balance::none;
+    near_limits_ = false;
+    Vec6 load = wrench();
+    const Record last(last_row_.data());
+    // in addition to the preload of the margin: more, for springs, would push an object away that
+    // is not held from all sides
+    const auto margin = [&](int i) { return std::min(preload[i], method_.margin().preload[i]); };
+    each_finger(mask_, [&](int i) {
+      std::copy_n(&last_force_[3 * i], 3, &force[3 * i]);
+      force[3 * i] -= margin(i);
+      torsion[i] = has_last_ ? last.torsion()[i] : 0.0;
+      load = load + margin(i) * column(i, 0);
+    });
+    elastic_.solve(within_margin_, mask_, positions(), model_.frames.data(), load,
+                   settings_.follow.limit, force.data(), torsion.data());
+    each_finger(mask_, [&](int i) { force[3 * i] += margin(i); });
+    effort.followed += elastic_.iterations;
+  }
+
+  // --- given forces
+
+  void give(Hold hold, const StepRequest* step) {
+    if (hold == Hold::direct && step)
+      std::copy(step->force.begin(), step->force.end(), direct_.begin());
+    if (hold == Hold::squeeze && squeezed_mask_ != mask_) squeeze();
+    const std::vector<double>& from = hold == Hold::direct ? direct_ : squeezed_;
+    each_finger(mask_, [&](int i) { std::copy_n(&from[3 * i], 3, &force[3 * i]); });
+    if (hold == Hold::squeeze) restore_balance();
+  }
+  // Compute an internal force of the fingers in contact, at the method's original contacts, whose
+  // normal forces sum to `settings.squeeze`.
+  void squeeze() {
+    const double nothing[6] = {};
+    follow_.solve({.wrench = nothing, .now = {.contacts = mask_}}, follow_row_.data());
+    const Record row(follow_row_.data());
+    double total = 0.0;
+    each_finger(mask_, [&](int i) {
+      for (int a = 0; a < 3; ++a)
+        squeezed_[3 * i + a] = row.has_force() ? row.force()[3 * i + a] : a == 0;
+      total += squeezed_[3 * i];
+    });
+    for (double& f : squeezed_) f *= settings_.squeeze / total;
+    squeezed_mask_ = mask_;
+  }
+  // Restore balance by the least-norm change of the forces, as far as these contacts can.
+  void restore_balance() {
+    // relative to the largest entry: with two contacts the matrix is singular
+    constexpr double SHIFT = 1e-9;
+    Packed6 gram{};
+    Vec6 missed = wrench();
+    each_finger(mask_, [&](int i) {
+      for (int a = 0; a < 3; ++a) {
+        missed = missed + force[3 * i + a] * column(i, a);
+        add_gram(gram, column(i, a));
+      }
+    });
+    double largest = 0.0;
+    for (int r = 0; r < 6; ++r) largest = std::max(largest, gram[packed(r, r)]);
+    for (int r = 0; r < 6; ++r) gram[packed(r, r)] += SHIFT * largest;
+    Ldl6 factor;
+    if (!(factor.factor(gram) > 0.0)) return;
+    const Vec6 pull = factor.solve(missed);
+    each_finger(mask_, [&](int i) {
+      for (int a = 0; a < 3; ++a) force[3 * i + a] -= dot(column(i, a), pull);
+    });
+  }
+
+  // --- wrenches, object frame
+
+  Vec6 wrench() const {
+    const std::span<const double> w = (*state_)[WRENCH];
+    return {w[0], w[1], w[2], w[3], w[4], w[5]};
+  }
+  Vec6 column(int i, int a) const { return unit_wrench(state_->position(i), model_.axis(i, a)); }
+};
+
+}  // namespace grasp

@@ -1,0 +1,78 @@
+// Settings of the hand controller, and what it reports of its work.
+#pragma once
+#include <grasp/problem.hpp>
+
+namespace grasp {
+
+// A spring and damper that draws a tip to its place.
+struct Spring {
+  double gain = 0.0, damping = 0.0, limit = infinity;  // [N/m], [N s/m], largest force [N]
+};
+
+struct HandControllerSettings {
+  // Contacts, for the controller's own solver; a given method has its own.
+  double friction = 0.8;            // coefficient
+  double torsional_friction = 0.0;  // [m] of soft fingertips; 0: hard ones
+  double friction_margin = 0.75;    // share of the friction that forces may use
+  double preload = 0.5;             // [N] of each touching finger, which does not count for it
+
+  double rate = 1000.0;  // [Hz] of `update`
+  double budget = 1e-4;  // [s] longer updates are counted
+  // solver between two steps of the method, and within torque limits; its limit bounds the steps
+  Options follow{.tolerance = 1e-4, .limit = 40};
+
+  // Springs: those that are stiffer than the rate and the delay of the joints allow are softened.
+  double joint_delay = 0.0;            // [s] of the measured joints
+  Spring grip{1500.0, 16.0, 10.0};     // of a touching fingertip to its place on the target
+  Spring place{800.0, 4.0, infinity};  // of all fingertips, for `Hold::place`
+  double reach_stiffness = 60.0;       // [N/m] of a finger that does not touch to its place,
+  double reach_force = 0.3;            // critically damped; [N] its force on the object and
+  double reach_limit = 1.0;            // the largest one on the way
+  // [N m/rad], [N m s/rad] towards the home posture, for joints that the tips leave free
+  double posture_stiffness = 0.01, posture_damping = 0.001;
+  double damping = 0.0;  // [N m s/rad] of every joint
+
+  double force_rate = 1000.0;      // [N/s] fastest change of a force beyond what balance requires
+  double torque_rate = 50.0;       // [1/s] fastest change of a torque relative to its limit
+  int release = 2;                 // updates without contact until a finger counts as free
+  double stale = 0.02;             // [s] largest age of joints and contacts that are used
+  double stale_wrench = infinity;  // [s] the same of the wrench
+  double grace = 0.1, fade = 0.2;  // [s] time to keep the last forces without knowledge; time in
+                                   // which they then fade
+
+  // Of agents and of the controllers that are compared with this one.
+  bool remembers = true;           // the method gets the last command, for starts that use it
+  std::vector<double> directions;  // (N, 3, K) [1], object frame: internal forces that an
+                                   // adjustment of the start combines
+  double squeeze = 40.0;           // [N] total normal force for `Hold::squeeze`
+};
+
+// Effort of solvers and motors since its owner last cleared it.
+struct Effort {
+  int iterations = 0, trials = 0;  // of the method: accepted steps, and all steps tried
+  int followed = 0;                // iterations between two solves of the method
+  int limited = 0;  // iterations of Newton within the torque limits, when a force exceeded them
+  bool saturated = false;    // torques were cut: no force within the limits was found
+  double margin = infinity;  // smallest distance of a torque from its limit [N m]
+  double share = 0.0;        // largest torque as a fraction of its limit
+};
+
+// Behaviour of the fingers in contact.
+enum class Hold {
+  optimized,  // the optimal force within the margin, and the grip's springs
+  squeeze,    // a constant internal force plus the balancing force
+  place,      // no force: every finger holds its place
+  direct,     // given forces
+  reach,      // no force: every finger is drawn to its contact
+};
+
+// What an agent wants of an update. Every member is optional.
+struct StepRequest {
+  // (K,) [N] along `directions`: added to the start, which is then brought inside the cones
+  Doubles adjustment{};
+  Start start = Start::standard;  // of the method: by its own rule, or `Start::given`
+  // (N, 3) [N], contact frames: the start for `Start::given`, or the command for `Hold::direct`
+  Doubles force{};
+};
+
+}  // namespace grasp

@@ -1,0 +1,171 @@
+// The springs of a hand: from each fingertip to its place, and towards the home posture.
+#pragma once
+#include <grasp/hand/hand_model.hpp>
+#include <grasp/hand/mobility.hpp>
+
+namespace grasp {
+
+class Springs {
+ public:
+  // (N,) the contacts to which free fingers reach [m], and their inward normals, object frame; not
+  // finite: where the finger touches first
+  std::vector<Point> goals, inwards;
+  std::vector<double> depths;  // (N,) below the surface [m]: where `Hold::place` keeps the tips
+  std::vector<double> home;    // (M,) posture of the joints that the tips leave free [rad]
+
+  // home: (M,) [rad], where the gains are computed
+  Springs(const HandModel& model, const HandControllerSettings& settings,
+          std::span<const double> home)
+      : goals(model.tips.size(), NOWHERE),
+        inwards(goals),
+        depths(goals.size()),
+        home(home.begin(), home.end()),
+        model_(model),
+        place_(settings.place),
+        places_(goals.size()),
+        pull_(home.size()),
+        tip_push_(3 * goals.size()),
+        tip_jacobian_(3 * goals.size() * home.size()),
+        gram_(int(3 * goals.size())),
+        is_redundant_(is_redundant(*model.tree)) {
+    constexpr double LIGHTEST = 0.03;  // [kg] tip for which reaching is critically damped
+    const Mobility mobility(model.tree, home.data());
+    const double period = 1.0 / settings.rate;
+    for (double of : mobility.tips) {
+      grip_.push_back(stable_spring(settings.grip, of, period, settings.joint_delay));
+      const double damping =
+          2.0 * std::sqrt(settings.reach_stiffness * std::max(LIGHTEST, 1.0 / of));
+      reach_.push_back(
+          stable_spring({settings.reach_stiffness, damping, settings.reach_limit}, of, period));
+    }
+    for (double of : mobility.joints) {
+      const double damping =
+          std::max(settings.posture_damping,
+                   2.0 * std::sqrt(settings.posture_stiffness / std::max(of, 1.0)));
+      posture_.push_back(stable_spring({settings.posture_stiffness, damping}, of, period));
+    }
+    reach_depth_ = settings.reach_force / settings.reach_stiffness;
+    for (std::size_t i = 0; i < depths.size(); ++i)
+      depths[i] = settings.squeeze / depths.size() / settings.place.gain;
+  }
+
+  // A finger lands: its place on the object is where it is.
+  void land(int i, const HandState& state) {
+    places_[i] = {model_.turn.transposed(model_.tips[i] - state.object().position),
+                  model_.turn.transposed() * link_frame(i), state.normal(i)};
+    if (!std::isfinite(goals[i].u)) {
+      goals[i] = state.position(i);
+      inwards[i] = state.normal(i);
+    }
+  }
+
+  // Force [N], base frame, of the spring of a touching fingertip, to its place on the target.
+  Point grip(int i, const HandState& state) const {
+    const BodyRow& target = state.target();
+    const Rotation turn = Rotation::of_quaternion(target.quaternion);
+    return pull(i, grip_[i], target.position + turn * place(i, turn), target, state);
+  }
+  // Let the place of a touching fingertip follow, within SETTLING seconds, where it is on the
+  // object: what has slid is not drawn back for ever. time: [s]
+  void settle(int i, const HandState& state, double time) {
+    const Point now = model_.turn.transposed(model_.tips[i] - state.object().position);
+    places_[i].tip += time / (time + SETTLING) * (now - place(i, model_.turn));
+  }
+  // torques (M,) += those that draw a free finger to its goal on the object; kept: to its place on
+  // the target.
+  void reach(int i, bool kept, const HandState& state, std::vector<double>& torques) const {
+    if (!std::isfinite(goals[i].u)) return;
+    const BodyRow& body = kept ? state.target() : state.object();
+    const Rotation turn = kept ? Rotation::of_quaternion(body.quaternion) : model_.turn;
+    const double depth = kept ? depths[i] : reach_depth_;
+    const Point place = goals[i] - (model_.tree->tips[i].radius - depth) * inwards[i];
+    const Point force =
+        pull(i, kept ? place_ : reach_[i], body.position + turn * place, body, state);
+    model_.posture.push(model_.tree->tips[i].link, model_.tips[i], force, torques.data());
+  }
+
+  // True if `keep_posture` has something to do.
+  bool redundant() const { return is_redundant_; }
+  // torques (M,) = those that keep the hand near its home posture without moving the tips, in the
+  // null space of their Jacobians. Return false, with nothing written, if there are none.
+  bool keep_posture(const HandState& state, std::vector<double>& torques) {
+    const Tree& tree = *model_.tree;
+    const int m = tree.joints();
+    const int rows = 3 * tree.fingers();
+    for (int j = 0; j < m; ++j)
+      pull_[j] = tree.links[j].coupled() ? 0.0
+                                         : -posture_[j].gain * (state[ANGLES][j] - home[j]) -
+                                               posture_[j].damping * state[RATES][j];
+    for (int i = 0; i < tree.fingers(); ++i)
+      model_.posture.jacobian(tree.tips[i].link, model_.tips[i], &tip_jacobian_[3 * m * i]);
+    for (int a = 0; a < rows; ++a) {
+      tip_push_[a] = 0.0;
+      for (int j = 0; j < m; ++j) tip_push_[a] += tip_jacobian_[m * a + j] * pull_[j];
+      for (int b = 0; b <= a; ++b) {
+        gram_(a, b) = a == b ? 1e-10 : 0.0;
+        for (int j = 0; j < m; ++j)
+          gram_(a, b) += tip_jacobian_[m * a + j] * tip_jacobian_[m * b + j];
+      }
+    }
+    if (!gram_.factor()) return false;
+    gram_.solve(tip_push_.data());
+    for (int j = 0; j < m; ++j) {
+      torques[j] = pull_[j];
+      for (int a = 0; a < rows; ++a) torques[j] -= tip_jacobian_[m * a + j] * tip_push_[a];
+    }
+    return true;
+  }
+
+ private:
+  static constexpr Point NOWHERE{infinity, infinity, infinity};
+  static constexpr double SETTLING = 1.0;  // [s]
+  const HandModel& model_;
+  std::vector<Spring> grip_, reach_;  // (N,)
+  std::vector<Spring> posture_;       // (M,) [N m/rad], [N m s/rad]
+  Spring place_;
+  double reach_depth_ = 0.0;  // [m] below the surface: goal of free fingers
+  // A touching finger as it landed, object frame: centre of its tip [m], frame of its link, inward
+  // normal.
+  struct Place {
+    Point tip;
+    Rotation link;
+    Point normal;
+  };
+  std::vector<Place> places_;  // (N,)
+  std::vector<double> pull_, tip_push_, tip_jacobian_;
+  Cholesky gram_;
+  bool is_redundant_;
+
+  // True if a finger has more than three joints, or a joint moves no tip.
+  static bool is_redundant(const Tree& tree) {
+    const std::vector<int> fingers_per_motor = tree.fingers_per_motor(tree.all_fingers());
+    bool free = false;
+    for (int i = 0; i < tree.fingers(); ++i) free = free || tree.movers(i).size() > 3;
+    for (int j = 0; j < tree.joints(); ++j)
+      free = free || !(fingers_per_motor[j] || tree.links[j].coupled());
+    return free;
+  }
+  // The place of a tip on a body of some orientation, in its frame. A tip that turns against the
+  // object rolls on it: its place is where it would roll without sliding.
+  Point place(int i, const Rotation& turn) const {
+    const Place& at = places_[i];
+    const Point turned = (turn.transposed() * link_frame(i) * at.link.transposed()).vector();
+    return at.tip + model_.tree->tips[i].radius * cross(at.normal, turned);
+  }
+  const Rotation& link_frame(int i) const {
+    return model_.posture.frames[model_.tree->tips[i].link];
+  }
+  // Force of a spring and damper from tip i to a goal that moves with a body, base frame.
+  Point pull(int i, const Spring& spring, const Point& goal, const BodyRow& body,
+             const HandState& state) const {
+    const Point& tip = model_.tips[i];
+    const Point speed =
+        model_.posture.velocity(model_.tree->tips[i].link, tip, state[RATES].data()) -
+        body.velocity(tip);
+    const Point force = spring.gain * (goal - tip) - spring.damping * speed;
+    const double size = length(force);
+    return size > spring.limit ? (spring.limit / size) * force : force;
+  }
+};
+
+}  // namespace grasp
