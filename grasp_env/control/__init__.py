@@ -1,1 +1,10 @@
-"""The control loop of the hand, and the closing of the fingers before an episode."""
+"""The controller of a hand, the control loop of the simulation, and the closing of the fingers."""
+
+from grasp_env.control.hand import (
+    Calibration,
+    HandController,
+    HandControllerSettings,
+    HandState,
+)
+
+__all__ = ["Calibration", "HandController", "HandControllerSettings", "HandState"]
