@@ -52,7 +52,17 @@ ROOMS: dict[str, dict[str, set[str]]] = {
         "task": {"errors", "inputs", "settings", "grasp"},
         "config": {"errors", "inputs", "settings", "force", "sim", "task"},
         "_spec": {"config"},
-        "control": {"errors", "core", "inputs", "grasp", "force", "sim", "task", "config"},
+        "control": {
+            "errors",
+            "core",
+            "inputs",
+            "settings",
+            "grasp",
+            "force",
+            "sim",
+            "task",
+            "config",
+        },
         "env": {
             "_spec",
             "errors",

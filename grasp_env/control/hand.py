@@ -201,10 +201,12 @@ class Calibration:
         object.__setattr__(self, "core", made)
 
     @classmethod
-    def newton_metres(cls, hand: HandDescription, **losses: ArrayLike) -> Calibration:
-        """Return the calibration of a hand whose motors take N m; `losses`: see the class."""
+    def newton_metres(
+        cls, hand: HandDescription, friction: ArrayLike = (), dead_band: ArrayLike = ()
+    ) -> Calibration:
+        """Return the calibration of a hand whose motors take N m; losses as of the class."""
         made = core.Calibration.newton_metres(HandKinematics(hand).tree)
-        return cls(made.torques, made.units, **losses)
+        return cls(made.torques, made.units, friction, dead_band)
 
     @classmethod
     def currents(
@@ -212,7 +214,8 @@ class Calibration:
         torque_constant: ArrayLike,
         largest: ArrayLike,
         units_per_ampere: ArrayLike,
-        **losses: ArrayLike,
+        friction: ArrayLike = (),
+        dead_band: ArrayLike = (),
     ) -> Calibration:
         """Return the calibration of a hand whose motors take currents.
 
@@ -220,7 +223,7 @@ class Calibration:
             torque_constant: (M,) [N m/A].
             largest: (M,) largest current [A].
             units_per_ampere: (M,) device units per ampere.
-            losses: see the class.
+            friction, dead_band: as of the class.
 
         Example:
             >>> Calibration.currents([0.5], [0.6], [1000.0]).to_units([0.25]).tolist()
@@ -235,7 +238,7 @@ class Calibration:
             )
         ]
         made = core.Calibration.currents(*parts)
-        return cls(made.torques, made.units, **losses)
+        return cls(made.torques, made.units, friction, dead_band)
 
     @property
     def limits(self) -> Array:

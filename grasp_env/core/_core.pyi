@@ -1071,6 +1071,28 @@ class Effort:
     @property
     def share(self) -> float: ...
 
+class HandRecording:
+    """Rows of a hand controller: see recording.hpp."""
+
+    @property
+    def columns(self) -> list[str]:
+        """Names of the columns, with their units."""
+
+    @property
+    def header(self) -> str:
+        """JSON of all that a replay needs."""
+
+    @property
+    def full(self) -> bool:
+        """True if no row fits any more."""
+
+    @property
+    def rows(self) -> Annotated[NDArray[numpy.float64], dict(order='C', writable=False)]:
+        """A copy of the rows."""
+
+    def write(self, path: str) -> None:
+        """Write CSV; the file appears when complete."""
+
 class HandController:
     """The controller of a torque-controlled hand: see hand_controller.hpp."""
 
@@ -1099,6 +1121,17 @@ class HandController:
         """
         Return commands (M,) in device units for the newest state; period: since the last update [s].
         """
+
+    def record(self, seconds: float) -> None:
+        """Record from the next `activate` on, for as many seconds at most."""
+
+    @property
+    def recording(self) -> HandRecording:
+        """What was recorded since `activate`."""
+
+    @property
+    def friction_used(self) -> Annotated[NDArray[numpy.float64], dict(order='C', writable=False)]:
+        """(N,) share of the friction that each commanded force uses."""
 
     def observe(self, state: HandState, period: float) -> None:
         """

@@ -205,6 +205,17 @@ void bind_hand_controller(nb::module_& m) {
       .def_ro("saturated", &Effort::saturated)
       .def_ro("margin", &Effort::margin)
       .def_ro("share", &Effort::share);
+  nb::class_<HandRecording>(m, "HandRecording", "Rows of a hand controller: see recording.hpp.")
+      .def_prop_ro("columns", &HandRecording::columns, "Names of the columns, with their units.")
+      .def_prop_ro("header", &HandRecording::header, "JSON of all that a replay needs.")
+      .def_prop_ro("full", &HandRecording::full, "True if no row fits any more.")
+      .def_prop_ro(
+          "rows",
+          [](const HandRecording& r) {
+            return array_of({r.numbers().begin(), r.numbers().end()}, {r.rows(), r.width()});
+          },
+          "A copy of the rows.")
+      .def("write", &HandRecording::write, "path"_a, "Write CSV; the file appears when complete.");
   nb::class_<HandController>(m, "HandController",
                              "The controller of a torque-controlled hand: see "
                              "hand_controller.hpp.")
@@ -230,6 +241,19 @@ void bind_hand_controller(nb::module_& m) {
           "state"_a, "period"_a,
           "Return commands (M,) in device units for the newest state; period: since the last "
           "update [s].")
+      .def("record", &HandController::record, "seconds"_a,
+           "Record from the next `activate` on, for as many seconds at most.")
+      .def_prop_ro(
+          "recording",
+          [](const HandController& c) -> const HandRecording& { return c.recording(); },
+          nb::rv_policy::reference_internal, "What was recorded since `activate`.")
+      .def_prop_ro(
+          "friction_used",
+          [](nb::handle self) {
+            const auto& c = nb::cast<HandController&>(self);
+            return view(self, c.friction_used().data(), {c.friction_used().size()});
+          },
+          "(N,) share of the friction that each commanded force uses.")
       .def("observe", &HandController::observe, "state"_a, "period"_a,
            "First half of `update`: take the state and count the fingers in contact.")
       .def("act", &act, "due"_a, "adjustment"_a.none(), "start"_a.none(), "given"_a.none(),

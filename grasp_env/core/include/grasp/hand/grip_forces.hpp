@@ -121,6 +121,18 @@ class GripForces {
   void find_within_limits() {
     if (keep_limits(last_row_.data())) store(true);
   }
+  // Write the share of the method's friction that commanded forces (N, 3) [N] use, with their
+  // torsion, to (N,).
+  void write_friction_used(const std::vector<double>& commanded, std::vector<double>& used) const {
+    for (std::size_t i = 0; i < used.size(); ++i) {
+      const double* scale = &within_margin_.scale[3 * i];
+      const double* f = &commanded[3 * i];
+      const double turning = within_margin_.torsion_scale(int(i)) * torsion[i];
+      const double side = std::hypot(scale[1] * f[1], scale[2] * f[2], turning);
+      const double room = std::max(scale[0] * f[0], 0.0);
+      used[i] = side > 0.0 ? method_.margin().friction * side / room : 0.0;
+    }
+  }
   // True if the motors cannot give what balances within the margin.
   bool exceeds_limits() const { return balance == Balance::overloaded; }
   Record last() const { return Record(const_cast<double*>(last_row_.data())); }

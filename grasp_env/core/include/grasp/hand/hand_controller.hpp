@@ -12,6 +12,7 @@
 #include <numbers>
 #include <grasp/hand/calibration.hpp>
 #include <grasp/hand/grip_forces.hpp>
+#include <grasp/hand/recording.hpp>
 #include <grasp/hand/springs.hpp>
 
 namespace grasp {
@@ -61,22 +62,42 @@ class HandController {
     std::vector<double> limits;
     for (int j = 0; j < hand->joints(); ++j)
       limits.push_back(std::min(hand->links[j].torque_limit, calibration.limit(j)));
-    parts_ = std::make_unique<Parts>(std::move(hand), limits, settings, method, home);
+    const std::vector<double> rest = posture(*hand, home);
+    parts_ = std::make_unique<Parts>(std::move(hand), limits, settings, method, rest);
+    recording_ = {};
+    has_own_solver_ = false;
     const Tree& tree = *parts_->model.tree;
     now_ = HandState(tree.joints(), tree.fingers());
     torques = commands = wanted_ = spring_torques = work_ = std::vector<double>(tree.joints());
     force.assign(3 * tree.fingers(), 0.0);
+    friction_used_.assign(tree.fingers(), 0.0);
     updates_apart_.assign(tree.fingers(), 0);
     deactivate();
   }
   void configure(const std::shared_ptr<const Tree>& hand, const HandControllerSettings& settings,
                  const Calibration& calibration, std::span<const double> home = {}) {
     configure(hand, settings, calibration, newton(hand->fingers(), settings), home);
+    has_own_solver_ = true;
   }
   void configure(const std::shared_ptr<const Tree>& hand,
                  const HandControllerSettings& settings = {}) {
     configure(hand, settings, Calibration::newton_metres(*hand));
   }
+
+  // Record from the next `activate` on, for as many seconds at most. Allocates. Throws
+  // std::invalid_argument for a controller with a given method, which a recording does not hold.
+  void record(double seconds) {
+    if (!parts_ || !has_own_solver_)
+      throw std::invalid_argument("a controller with its own solver is needed to record");
+    if (!(seconds > 0.0 && seconds * settings_.rate < 1e9))
+      throw std::invalid_argument("a recording needs a time above 0 s");
+    const Tree& tree = *parts_->model.tree;
+    next_recording_ =
+        HandRecording(tree.joints(), tree.fingers(), std::size_t(seconds * settings_.rate) + 2,
+                      HandRecording::describe(tree, settings_, calibration_, parts_->springs.home));
+  }
+  // What was recorded since `activate`; it ends when it is full.
+  const HandRecording& recording() const { return recording_; }
 
   // Start at a state, from which torques rise from zero. Return false, and stay inactive, if it
   // is not of this hand or its numbers are not finite.
@@ -96,6 +117,9 @@ class HandController {
     status = released;
     parts_->model.look(now_, settings_.damping);
     count_contacts();
+    if (next_recording_) std::swap(recording_, *next_recording_);
+    next_recording_.reset();
+    note(HandEvent::activate, state, 0.0);
     return true;
   }
   // The hand already presses with forces (N, 3) [N], contact frames: torques begin at theirs.
@@ -108,9 +132,12 @@ class HandController {
   }
   // The places of the touching fingers are where they are now: call it when a grasp has settled.
   void take_hold() noexcept {
-    if (status != inactive) each_finger(mask, [&](int i) { parts_->springs.land(i, now_); });
+    if (status == inactive) return;
+    each_finger(mask, [&](int i) { parts_->springs.land(i, now_); });
+    note(HandEvent::take_hold, now_, 0.0);
   }
   void deactivate() noexcept {
+    if (status != inactive) note(HandEvent::deactivate, now_, 0.0);
     status = inactive;
     std::fill(torques.begin(), torques.end(), 0.0);
     std::fill(commands.begin(), commands.end(), 0.0);
@@ -129,6 +156,8 @@ class HandController {
   void observe(const HandState& state, double period) noexcept {
     begin_ = std::chrono::steady_clock::now();
     if (status == inactive) return;
+    given_period_ = period;
+    given_ = &state;
     period_ = std::max(0.0, period);  // NaN: 0
     late += period > 1.9 / settings_.rate;
     if (good(state))
@@ -145,8 +174,15 @@ class HandController {
       commands[j] = calibration_(int(j), torques[j], spring_torques[j]);
     duration = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin_).count();
     over_budget += duration > settings_.budget;
+    if (status != inactive && given_) {
+      const bool ours = given_->numbers().size() == now_.numbers().size();
+      note(ours ? HandEvent::update : HandEvent::foreign, ours ? *given_ : now_, given_period_);
+      given_ = nullptr;
+    }
   }
 
+  // (N,) share of the friction that each commanded force uses; infinite without normal force
+  const std::vector<double>& friction_used() const { return friction_used_; }
   // True if forces balance the wrench.
   bool closure() const { return forces().balance <= Balance::overloaded; }
   // The last valid message; a finger without contact keeps its last contact.
@@ -174,16 +210,22 @@ class HandController {
           std::span<const double> home)
         : model(std::move(hand), limits, method.contacts().soft()),
           forces(model, method, settings),
-          springs(model, settings, posture(*model.tree, home)) {}
+          springs(model, settings, home) {}
   };
   HandControllerSettings settings_;
   Calibration calibration_;
   std::unique_ptr<Parts> parts_;
   HandState now_;
   double period_ = 0.0, blind_ = 0.0;  // [s] since the last update; without knowledge
+  HandRecording recording_;
+  std::optional<HandRecording> next_recording_;
+  bool has_own_solver_ = false;
+  const HandState* given_ = nullptr;  // to the update that runs, with its period [s]
+  double given_period_ = 0.0;
   std::chrono::steady_clock::time_point begin_{};
   std::vector<int> updates_apart_;     // (N,) updates since a finger had contact
   bool has_lost_force_ = false;        // a finger that counts as in contact has none
+  std::vector<double> friction_used_;  // (N,) share of the friction that each command uses
   std::vector<double> wanted_, work_;  // (M,) torques before limits, work space [N m]
 
   static void check(const HandControllerSettings& s) {
@@ -232,6 +274,13 @@ class HandController {
     for (int j = int(out.size()); j < tree.joints(); ++j)
       out.push_back(std::clamp(0.0, tree.links[j].lower, tree.links[j].upper));
     return out;
+  }
+
+  // Add a row to the recording.
+  void note(HandEvent event, const HandState& state, double period) {
+    if (recording_.full()) return;
+    recording_.add(int(event), int(hold), period, state.numbers(), int(status), torques, commands,
+                   force, friction_used_, duration);
   }
 
   // --- messages
@@ -351,6 +400,7 @@ class HandController {
         const double spring = dot(forces.springs[i], parts_->model.axis(i, a));
         force[3 * i + a] = part * forces.force[3 * i + a] + spring_part * spring;
       }
+    parts_->forces.write_friction_used(force, friction_used_);
   }
   static Status status_of(Balance balance) {
     constexpr Status of[] = {holding, marginal, overloaded, pivoting, slipping};

@@ -47,6 +47,34 @@ struct HandControllerSettings {
   double squeeze = 40.0;           // [N] total normal force for `Hold::squeeze`
 };
 
+// Call f(name, value) for the settings of a controller with its own solver.
+template <class Settings, class F> void each_setting(Settings& s, F&& f) {
+  f("friction", s.friction);
+  f("torsional_friction", s.torsional_friction);
+  f("friction_margin", s.friction_margin);
+  f("preload", s.preload);
+  f("rate", s.rate);
+  f("budget", s.budget);
+  f("tolerance", s.follow.tolerance);
+  f("max_iterations", s.follow.limit);
+  f("joint_delay", s.joint_delay);
+  f("grip", s.grip);
+  f("place", s.place);
+  f("reach_stiffness", s.reach_stiffness);
+  f("reach_force", s.reach_force);
+  f("reach_limit", s.reach_limit);
+  f("posture_stiffness", s.posture_stiffness);
+  f("posture_damping", s.posture_damping);
+  f("damping", s.damping);
+  f("force_rate", s.force_rate);
+  f("torque_rate", s.torque_rate);
+  f("release", s.release);
+  f("stale", s.stale);
+  f("stale_wrench", s.stale_wrench);
+  f("grace", s.grace);
+  f("fade", s.fade);
+}
+
 // Effort of solvers and motors since its owner last cleared it.
 struct Effort {
   int iterations = 0, trials = 0;  // of the method: accepted steps, and all steps tried
