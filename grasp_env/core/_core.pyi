@@ -1086,9 +1086,8 @@ class HandRecording:
     def full(self) -> bool:
         """True if no row fits any more."""
 
-    @property
     def rows(self) -> Annotated[NDArray[numpy.float64], dict(order='C', writable=False)]:
-        """A copy of the rows."""
+        """Return a copy of the rows."""
 
     def write(self, path: str) -> None:
         """Write CSV; the file appears when complete."""

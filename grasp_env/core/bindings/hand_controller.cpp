@@ -209,12 +209,12 @@ void bind_hand_controller(nb::module_& m) {
       .def_prop_ro("columns", &HandRecording::columns, "Names of the columns, with their units.")
       .def_prop_ro("header", &HandRecording::header, "JSON of all that a replay needs.")
       .def_prop_ro("full", &HandRecording::full, "True if no row fits any more.")
-      .def_prop_ro(
+      .def(
           "rows",
           [](const HandRecording& r) {
             return array_of({r.numbers().begin(), r.numbers().end()}, {r.rows(), r.width()});
           },
-          "A copy of the rows.")
+          "Return a copy of the rows.")
       .def("write", &HandRecording::write, "path"_a, "Write CSV; the file appears when complete.");
   nb::class_<HandController>(m, "HandController",
                              "The controller of a torque-controlled hand: see "
