@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from grasp_env.config import EnvConfig
 from grasp_env.control.closing import close_hand, take_over
@@ -15,9 +17,12 @@ from grasp_env.sim import HandKinematics, ObjectDescription, Scene
 from grasp_env.sim.config import START_CLEARANCE, SceneConfig
 from grasp_env.sim.engine import engine_of
 from grasp_env.sim.grasping import place_hand, plan_grasp
+from grasp_env.task import Move
 
 PLACINGS = 3
 """Number of poses that are tried for each object, for a hand that is not `placed`."""
+POSES = 33
+"""Number of poses of a motion that a hand must reach, for a hand that is not `placed`."""
 REDRAWS = 20
 """Largest number of random objects that are tried at a reset until the hand can hold one."""
 
@@ -90,10 +95,15 @@ class Stage:
         """Let the hand hold an object, from the first pose where it can."""
         first = self._nominal is None
         failures = list[GraspError]()
-        for place in self._places(item):
+        places = list(self._places(item))
+        moves = isinstance(self.config.task, Move) and not self._fixed
+        # the first grasp that can follow the motion; without one, the first that holds at rest
+        for follows, place in product((True, False) if moves else (False,), places):
             try:
                 self.kinematics = place()
                 grasp = self._scene_config(item)
+                if follows:
+                    self._follow(grasp)
                 if self._scene is None:
                     self._scene = Scene(grasp, *self._visible)
                 else:
@@ -144,6 +154,20 @@ class Stage:
             substeps=engine.rate // config.controller.rate,
             clearance=START_CLEARANCE,
         )
+
+    def _follow(self, grasp: SceneConfig) -> None:
+        """Raise a `GraspError` unless the fingers reach their contacts along the task's motion."""
+        duration = self.config.limits.duration
+        assert duration is not None
+        times = np.linspace(0.0, duration, POSES)
+        points = np.array(grasp.contact_points)
+        kinematics = self.kinematics
+        radii = np.array([tip.radius for tip in grasp.hand.fingertips])[:, None]
+        tips = points - radii * grasp.contact_normals
+        start = np.array(grasp.start_angles) if grasp.start_angles else None
+        for row in self.config.task.target(times, 1.0 / self.config.controller.rate):
+            turned = Rotation.from_quat(row[3:7]).apply(tips)
+            start = kinematics.solve(row[:3] + turned, start)
 
     def _settle(self) -> None:
         self._loop.begin(self.scene)

@@ -416,7 +416,7 @@ class HandController {
       parts_->springs.reach(int(i), hold == Hold::place, now_, more);
       add(more);
     }
-    if (parts_->springs.redundant() && parts_->springs.keep_posture(now_, more)) add(more);
+    if (parts_->springs.redundant() && parts_->springs.keep_posture(now_, mask, more)) add(more);
   }
   void add(const std::vector<double>& more) {
     parts_->model.add_within(more, wanted_);

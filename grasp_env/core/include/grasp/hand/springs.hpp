@@ -43,6 +43,8 @@ class Springs {
           std::max(settings.posture_damping,
                    2.0 * std::sqrt(settings.posture_stiffness / std::max(of, 1.0)));
       posture_.push_back(stable_spring({settings.posture_stiffness, damping}, of, period));
+      range_.push_back(stable_spring({END * settings.posture_stiffness, 0.0}, of, period));
+      roll_.push_back(stable_spring({ROLL * settings.posture_stiffness, 0.0}, of, period));
     }
     reach_depth_ = settings.reach_force / settings.reach_stiffness;
     for (std::size_t i = 0; i < depths.size(); ++i)
@@ -86,18 +88,27 @@ class Springs {
 
   // True if `keep_posture` has something to do.
   bool redundant() const { return is_redundant_; }
-  // torques (M,) = those that keep the hand near its home posture without moving the tips, in the
-  // null space of their Jacobians. Return false, with nothing written, if there are none.
-  bool keep_posture(const HandState& state, std::vector<double>& torques) {
+  // torques (M,) = those that keep the hand near its home posture without moving free tips or
+  // pushing with those in contact (bits of a mask): in the null space of the Jacobians of their
+  // centres and contact points. Return false, with nothing written, if there are none.
+  bool keep_posture(const HandState& state, std::uint64_t touching, std::vector<double>& torques) {
     const Tree& tree = *model_.tree;
     const int m = tree.joints();
     const int rows = 3 * tree.fingers();
-    for (int j = 0; j < m; ++j)
-      pull_[j] = tree.links[j].coupled() ? 0.0
-                                         : -posture_[j].gain * (state[ANGLES][j] - home[j]) -
-                                               posture_[j].damping * state[RATES][j];
+    for (int j = 0; j < m; ++j) {
+      const Link& link = tree.links[j];
+      const double angle = state[ANGLES][j];
+      const double room = std::min(NEAR_END, 0.25 * (link.upper - link.lower));
+      const double beyond = std::clamp(angle, link.lower + room, link.upper - room) - angle;
+      pull_[j] = link.coupled() ? 0.0
+                                : posture_[j].gain * (home[j] - angle) + range_[j].gain * beyond -
+                                      posture_[j].damping * state[RATES][j];
+    }
+    each_finger(touching, [&](int i) { keep_from_rolling(i, state); });
     for (int i = 0; i < tree.fingers(); ++i)
-      model_.posture.jacobian(tree.tips[i].link, model_.tips[i], &tip_jacobian_[3 * m * i]);
+      model_.posture.jacobian(tree.tips[i].link,
+                              touching >> i & 1 ? model_.touch[i] : model_.tips[i],
+                              &tip_jacobian_[3 * m * i]);
     for (int a = 0; a < rows; ++a) {
       tip_push_[a] = 0.0;
       for (int j = 0; j < m; ++j) tip_push_[a] += tip_jacobian_[m * a + j] * pull_[j];
@@ -119,9 +130,14 @@ class Springs {
  private:
   static constexpr Point NOWHERE{infinity, infinity, infinity};
   static constexpr double SETTLING = 1.0;  // [s]
+  // Near its ends, a joint that the tips leave free is drawn back END times as stiffly as home.
+  static constexpr double NEAR_END = 0.2;  // [rad]
+  static constexpr double END = 100.0;
+  static constexpr double ROLL = 30.0;
   const HandModel& model_;
   std::vector<Spring> grip_, reach_;  // (N,)
-  std::vector<Spring> posture_;       // (M,) [N m/rad], [N m s/rad]
+  // (M,) towards the home posture, and away from the ends of a joint [N m/rad], [N m s/rad]
+  std::vector<Spring> posture_, range_, roll_;
   Spring place_;
   double reach_depth_ = 0.0;  // [m] below the surface: goal of free fingers
   // A touching finger as it landed, object frame: centre of its tip [m], frame of its link, inward
@@ -145,12 +161,23 @@ class Springs {
       free = free || !(fingers_per_motor[j] || tree.links[j].coupled());
     return free;
   }
-  // The place of a tip on a body of some orientation, in its frame. A tip that turns against the
-  // object rolls on it: its place is where it would roll without sliding.
+  // How far the link of a touching tip has turned since it landed, against a body of some
+  // orientation, in its frame [rad].
+  Point turned(int i, const Rotation& turn) const {
+    return (turn.transposed() * link_frame(i) * places_[i].link.transposed()).vector();
+  }
+  // The place of a tip on such a body. A tip that turns against the object rolls on it: its place
+  // is where it would roll without sliding.
   Point place(int i, const Rotation& turn) const {
-    const Place& at = places_[i];
-    const Point turned = (turn.transposed() * link_frame(i) * at.link.transposed()).vector();
-    return at.tip + model_.tree->tips[i].radius * cross(at.normal, turned);
+    return places_[i].tip + model_.tree->tips[i].radius * cross(places_[i].normal, turned(i, turn));
+  }
+  // Add to `pull_` a spring that turns the link of a touching tip back: what rolls comes to edges.
+  void keep_from_rolling(int i, const HandState& state) {
+    const int link = model_.tree->tips[i].link;
+    const Rotation turn = Rotation::of_quaternion(state.target().quaternion);
+    const Point back = -(turn * turned(i, turn));
+    model_.posture.each_turning_joint(
+        link, [&](int j, const Point& turns) { pull_[j] += roll_[j].gain * dot(turns, back); });
   }
   const Rotation& link_frame(int i) const {
     return model_.posture.frames[model_.tree->tips[i].link];
