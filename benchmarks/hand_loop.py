@@ -354,7 +354,7 @@ def serve(channel: socket.socket, hand: HandDescription, rate: float, friction: 
             with suppress(InvalidInputError):  # broken numbers: the next message
                 controller.activate(state)
             last = now - 1.0 / rate
-        commands = controller.update(state, now - last)
+        commands = np.asarray(controller.update(state, now - last))
         last = now
         updates += 1
         measures = controller.duration, controller.late, controller.over_budget
