@@ -1,10 +1,11 @@
-"""The controllers of `examples/hand_controller` in real time with a simulated hand.
+"""The controller of a hand in real time with a simulated hand, from C++ and from Python.
 
 The controller runs in a separate process. The hand runs in this one: MuJoCo steps at the rate,
 sends the messages of a hand, and converts the answers to torques. The contacts of each finger in
 turn are cut for a while, and messages stop now and then.
 
-The hand, both controllers and their protocol of messages are in this file.
+The C++ side is `grasp_env/core/examples/hand_controller.cpp`. The hand, the Python side and the
+protocol of their messages are in this file.
 """
 
 from __future__ import annotations
@@ -23,18 +24,17 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 from typing import Any, Literal
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.benchmark import Benchmark, tick
+from grasp_env.control import Calibration, HandController, HandControllerSettings, HandState
 from grasp_env.control.loop import critically_damped
 from grasp_env.env.env import FourFingerGrasp
-from grasp_env.errors import SimulationError
+from grasp_env.errors import InvalidInputError, SimulationError
 from grasp_env.inputs.arguments import Array
-from grasp_env.inputs.files import import_file
 from grasp_env.sim import HandDescription, MujocoEngine
 from grasp_env.sim.hand.description import HANDS
 from grasp_env.task.motion import resting_target
@@ -51,12 +51,23 @@ RISE = 0.05
 """Time before the hand carries the object [s]."""
 FIRST_CUT, CUT_EVERY, CUT_FOR = 0.5, 0.4, 0.1
 """Time of cut contacts: first cut, interval between fingers, duration [s]."""
-FIRST_SILENCE, SILENCE_EVERY, SILENT_FOR = 0.7, 1.2, 0.02
-"""Time when messages stop, never while contacts are cut [s]."""
+FIRST_SILENCE, SILENCE_EVERY, SILENT_FOR = 0.7, 1.2, 0.04
+"""Time when messages stop, long enough to coast, never while contacts are cut [s]."""
 SENSOR_AGE = 0.001
-"""Age of contacts when they are sent [s]."""
+"""Age of joints, contacts and wrench when they are sent [s]."""
 NUMBER, HEARD, UPDATES, DURATION, LATE, OVER_BUDGET, STATUS, COMMANDS = range(8)
 """Indices of an answer."""
+STATUSES = (
+    "inactive",
+    "holding",
+    "marginal",
+    "overloaded",
+    "pivoting",
+    "slipping",
+    "coasting",
+    "released",
+)
+"""The statuses of a controller, in the order of their numbers in C++."""
 HELD = 5.0
 """Largest drift of a held object [mm]."""
 UPDATE, TRIP, WHOLE = "update", "round trip", "run"
@@ -160,19 +171,24 @@ class SimulatedHand:
         """Simulate a period with commands in device units."""
         self.scene.advance((commands / UNITS * self.limits).tolist(), None)
 
-    def state(self, cut: int) -> Array:
-        """Return the numbers of a `HandState`; finger `cut` reports no contact, -1: all do."""
+    def state(self, cut: int = -1) -> HandState:
+        """Return a message in the frame of the base; finger `cut` reports no contact, -1: all do."""
         reading = self.scene.look()
-        touching = reading.touching.copy()
-        if cut >= 0:
-            touching[cut] = 0.0
         load = np.array(self.body.wrench(self.scene.core, self.target, self.scene.gravity))
         force = reading.rotation @ load[:3]
         moment = reading.rotation @ load[3:] + np.cross(reading.position, force)
-        normals = reading.normals @ reading.rotation.T
-        joints = reading.angles, reading.rates
-        contacts = touching, reading.touch.ravel(), normals.ravel()
-        return np.concatenate([*joints, *contacts, force, moment, self.scene.gravity, [SENSOR_AGE]])
+        state = HandState(self.hand.joint_count, self.hand.finger_count)
+        state.angles = reading.angles
+        state.rates = reading.rates
+        state.touching = reading.touching
+        if cut >= 0:
+            state.touching[cut] = 0.0
+        state.positions = reading.touch
+        state.normals = reading.normals @ reading.rotation.T
+        state.wrench = np.concatenate([force, moment])
+        state.gravity = self.scene.gravity
+        state.ages[:] = SENSOR_AGE
+        return state
 
 
 class Loop:
@@ -237,19 +253,19 @@ class Loop:
 
     def _rise(self) -> None:
         """Carry the object until torques have risen, untimed."""
-        self._send(self.hand.state(-1))
+        self._send(self.hand.state())
         self._take(time.perf_counter() + PATIENCE, first=True)
         if not self.durations:
             raise SimulationError(f"the controller did not answer in {PATIENCE} s")
         for _ in range(round(RISE / self.period)):
-            self._send(self.hand.state(-1))
+            self._send(self.hand.state())
             self._take(time.perf_counter() + self.period)
         self._take(time.perf_counter() + self.period)
         self.durations, self.statuses, self.trips, self._first = [], [], {}, len(self._sent)
 
-    def _send(self, numbers: Array) -> None:
+    def _send(self, state: HandState) -> None:
         """Send a message with its number."""
-        message = np.concatenate([[len(self._sent)], numbers]).tobytes()
+        message = np.concatenate([[len(self._sent)], state.numbers]).tobytes()
         self._sent.append(time.perf_counter())
         self.channel.send(message)
 
@@ -299,41 +315,19 @@ def build(folder: Path) -> Path:
     return target / "hand_controller"
 
 
-def example() -> ModuleType:
-    """Import `examples/hand_controller.py`."""
-    return import_file(ROOT / "examples" / "hand_controller.py", "hand_controller")
-
-
-def state_of(shown: ModuleType, numbers: Array, joints: int, fingers: int) -> Any:
-    """Turn a message into a `HandState`."""
-    ends = np.cumsum([joints, joints, fingers, 3 * fingers, 3 * fingers, 6, 3])
-    angles, rates, touching, positions, normals, wrench, gravity, age = np.split(numbers, ends)
-    rows = positions.reshape(-1, 3), normals.reshape(-1, 3)
-    return shown.HandState(angles, rates, touching > 0.0, *rows, wrench, gravity, float(age[0]))
-
-
-def controller_of(
-    shown: ModuleType, hand: HandDescription, table: Any = None, **settings: Any
-) -> Any:
-    """Configure the controller in Python; `table` replaces the calibration of `main` in C++."""
-    limits = hand.torque_limits
-    units = np.tile([-UNITS, UNITS], (len(limits), 1))
-    usual = shown.Calibration(np.outer(limits, [-1.0, 1.0]), units)
-    controller = shown.HandController()
-    controller.configure(hand, shown.HandControllerSettings(**settings), table or usual)
-    return controller
-
-
 def serve(channel: socket.socket, hand: HandDescription, rate: float, friction: float) -> None:
-    """Serve the example in Python as `main` serves the one in C++."""
-    shown = example()
-    controller = controller_of(shown, hand, rate=rate, friction=friction)
+    """Serve the controller in Python as `main` of the example serves it in C++."""
+    limits = hand.torque_limits
+    table = np.outer(limits, [-1.0, 1.0])
+    units = np.tile([-UNITS, UNITS], (len(limits), 1))
+    settings = HandControllerSettings(rate=rate, friction=friction)
+    controller = HandController()
+    controller.configure(hand, settings, Calibration(table, units))
+    state = controller.new_state()
     heard = 0
     updates = 0
     number = 0.0
-    measured = 0.0
     last = 0.0
-    state: Any = None
     channel.setblocking(False)
     gc.freeze()
     gc.disable()  # there are no reference cycles
@@ -353,18 +347,18 @@ def serve(channel: socket.socket, hand: HandDescription, rate: float, friction: 
         if newest:
             row = np.frombuffer(newest)
             number = row[0]
-            state = state_of(shown, row[1:], hand.joint_count, hand.finger_count)
-            measured = now - state.age
+            state.numbers[:] = row[1:]
+        else:
+            state.ages += now - last
         if controller.status == "inactive":
-            with suppress(ValueError):  # broken numbers: the next message
+            with suppress(InvalidInputError):  # broken numbers: the next message
                 controller.activate(state)
             last = now - 1.0 / rate
-        state.age = now - measured
-        commands = controller.update(state, now - last)
+        commands = np.asarray(controller.update(state, now - last))
         last = now
         updates += 1
         measures = controller.duration, controller.late, controller.over_budget
-        header = [number, heard, updates, *measures, shown.STATUSES.index(controller.status)]
+        header = [number, heard, updates, *measures, STATUSES.index(controller.status)]
         with suppress(BlockingIOError, ConnectionError):
             channel.send(np.concatenate([header, commands, controller.torques]).tobytes())
 

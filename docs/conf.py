@@ -90,7 +90,7 @@ sphinx_gallery_conf = {
     "gallery_dirs": "gallery",
     "backreferences_dir": "gallery/backreferences",
     "doc_module": ("grasp_env", "policies"),
-    "filename_pattern": r"/\d\d_",
+    "filename_pattern": r"/(\d\d|hand)_",  # ros2_node.py needs ROS
     "download_all_examples": False,
     "notebook_extensions": set(),  # no notebooks
     "show_memory": False,

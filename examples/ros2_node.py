@@ -14,9 +14,6 @@ from dataclasses import asdict
 import numpy as np
 import rclpy
 from geometry_msgs.msg import WrenchStamped
-
-# the file beside this one
-from hand_controller import Calibration, HandController, HandControllerSettings, HandState
 from numpy.lib.recfunctions import structured_to_unstructured
 
 # before Kilted: rclpy.executors.SingleThreadedExecutor, which is slower
@@ -26,15 +23,16 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.time import Time
 from sensor_msgs.msg import JointState, PointCloud2, PointField
 
+from grasp_env.control import HandController, HandControllerSettings
 from grasp_env.sim import HANDS, HandDescription
 
 INPUTS = {"joint_states": JointState, "contacts": PointCloud2, "wrench": WrenchStamped}
-# gravity [m/s^2], base frame
-PARAMETERS = {
-    "hand": "four_finger",
-    "gravity": [0.0, 0.0, -9.81],
-    **asdict(HandControllerSettings()),
+# those whose default is None are not parameters: a wrench of any age is used
+SETTINGS = {
+    name: value for name, value in asdict(HandControllerSettings()).items() if value is not None
 }
+# gravity [m/s^2], base frame
+PARAMETERS = {"hand": "four_finger", "gravity": [0.0, 0.0, -9.81], **SETTINGS}
 # matches publishers of both reliabilities
 NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 POINT = ("x", "y", "z", "normal_x", "normal_y", "normal_z")  # float32, as in PCL's PointNormal
@@ -60,15 +58,15 @@ class HandNode(LifecycleNode):
 
     def on_configure(self, state):
         """Make the controller."""
-        hand, gravity, *rest = (self.get_parameter(name).value for name in PARAMETERS)
-        self.gravity, self.settings = np.array(gravity), HandControllerSettings(*rest)
+        values = {name: self.get_parameter(name).value for name in PARAMETERS}
+        hand, gravity = values.pop("hand"), values.pop("gravity")
         try:
-            if not self.settings.rate > 0.0:
-                raise ValueError(f"rate={self.settings.rate} Hz must be above 0")
             self.hand = HANDS[hand]() if hand in HANDS else HandDescription.from_urdf(hand)
-            table = np.outer(self.hand.torque_limits, [-1.0, 1.0])  # efforts are in N m
-            self.controller.configure(self.hand, self.settings, Calibration(table, table))
-        except (ValueError, OSError) as error:
+            # the calibration is left out: efforts are in N m
+            self.controller.configure(self.hand, HandControllerSettings(**values))
+            self.reading = self.controller.new_state()
+            self.reading.gravity = np.array(gravity, dtype=float)
+        except (TypeError, ValueError, OSError) as error:
             self.get_logger().error(f"cannot configure: {error}")
             return TransitionCallbackReturn.FAILURE
         return super().on_configure(state)
@@ -77,12 +75,12 @@ class HandNode(LifecycleNode):
         """Start the loop at the current state of the hand."""
         self.last = self.get_clock().now()
         try:
-            self.reading = self.read()
+            self.read()
             self.controller.activate(self.reading)
         except ValueError as error:
             self.get_logger().error(f"cannot activate: {error}")
             return TransitionCallbackReturn.FAILURE
-        self.timer = self.create_timer(1.0 / self.settings.rate, self.tick)
+        self.timer = self.create_timer(1.0 / self.controller.settings.rate, self.tick)
         return super().on_activate(state)
 
     def on_deactivate(self, state):
@@ -97,15 +95,15 @@ class HandNode(LifecycleNode):
     on_shutdown = on_deactivate  # from every state
 
     def tick(self):
-        """Update the controller; while messages do not fit, the age of the last state grows."""
+        """Update the controller; while messages do not fit, the ages of the last state grow."""
         before = self.last
         status = self.controller.status
         self.last = self.get_clock().now()
         period = (self.last - before).nanoseconds * 1e-9
         try:
-            self.reading = self.read()
+            self.read()
         except ValueError as error:
-            self.reading.age += period
+            self.reading.ages += period
             self.get_logger().warning(str(error), throttle_duration_sec=1.0)
         self.controller.update(self.reading, period)
         if self.controller.status != status:
@@ -121,9 +119,7 @@ class HandNode(LifecycleNode):
         )
 
     def read(self):
-        """Return the newest messages as a state, or raise ValueError; its age is that of the older
-        stamp.
-        """
+        """Fill the state from the newest messages, or raise ValueError and leave it as it is."""
         if missing := [topic for topic, message in self.newest.items() if message is None]:
             raise ValueError(f"nothing came yet on {', '.join(missing)}")
         joints, contacts, wrench = self.newest.values()
@@ -144,23 +140,20 @@ class HandNode(LifecycleNode):
                 for axis in "xyz"
             ]
         )
-        age = max(
-            abs((self.last - Time.from_msg(part.header.stamp)).nanoseconds)
+        touching, positions, normals = read_points(contacts, self.hand.finger_count)
+        ages = [
+            1e-9 * abs((self.last - Time.from_msg(part.header.stamp)).nanoseconds)
             for part in (joints, contacts)
-        )
-        return HandState(
-            angles,
-            rates,
-            *read_points(contacts, self.hand.finger_count),
-            load,
-            self.gravity,
-            1e-9 * age,
-        )
+        ]
+        reading = self.reading
+        reading.angles, reading.rates = angles, rates
+        reading.touching, reading.positions, reading.normals = touching, positions, normals
+        reading.wrench, reading.ages = load, np.array([*ages, 0.0])
 
 
 def read_points(cloud, count):
-    """Return touching fingertips (count,), points (count, 3) [m] and unit normals; NaN means no
-    contact.
+    """Return touching fingertips (count,) as 1 or 0, points (count, 3) [m] and unit normals; NaN
+    means no contact.
     """
     places = {
         field.name: field.offset for field in cloud.fields if field.datatype == PointField.FLOAT32
@@ -177,7 +170,11 @@ def read_points(cloud, count):
     positions, normals = (
         np.where(touching[:, None], points, 0.0).reshape(count, 2, 3).swapaxes(0, 1).copy()
     )
-    return touching, positions, normals / np.linalg.norm(normals, axis=1, keepdims=True).clip(1e-6)
+    return (
+        touching * 1.0,
+        positions,
+        normals / np.linalg.norm(normals, axis=1, keepdims=True).clip(1e-6),
+    )
 
 
 def pick(names, known, what):

@@ -26,7 +26,7 @@ ROOT = Path(__file__).parents[1]
 MODULES = (
     *(
         f"grasp_env.{room}"
-        for room in ("grasp", "force", "quality", "sim", "env", "task", "config")
+        for room in ("grasp", "force", "quality", "sim", "control", "env", "task", "config")
     ),
     "policies",
 )
@@ -45,6 +45,7 @@ SHOWN_BY = {
         f"grasp_env.task.{kind.__name__}": "grasp_env.task.DisturbanceSettings"
         for kind in DISTURBANCES.values()
     },
+    "grasp_env.control.HandState": "grasp_env.control.HandController",
     "grasp_env.grasp.load_grasp": "grasp_env.grasp.save_grasp",
     **{
         f"grasp_env.grasp.presets.{name}": "grasp_env.grasp.presets.preset"
@@ -138,7 +139,7 @@ def test_it_is_documented(name):
         )
         return
     fields = (
-        [field.name for field in dataclasses.fields(value)]
+        [field.name for field in dataclasses.fields(value) if field.init or field.repr]
         if dataclasses.is_dataclass(value)
         else []
     )

@@ -71,8 +71,8 @@ def shown(page: Path) -> str:
 def joined() -> str:
     """The text of one program that runs the source it is called by; each header is included once,
     and what pages show is compiled too."""
-    parts = [CORE / "examples/hand_controller.cpp", CORE / "examples/hand_controller.hpp"]
-    texts = [*(path.read_text() for path in (*SOURCES, *parts)), *map(shown, PAGES)]
+    included = CORE / "examples/hand_controller.cpp"
+    texts = [*(path.read_text() for path in (*SOURCES, included)), *map(shown, PAGES)]
     names = sorted(
         {name for text in texts for name in re.findall(r"#include (<.*?>)", text)}
         | {"<filesystem>"}
@@ -80,7 +80,6 @@ def joined() -> str:
     names += [
         *(f"<grasp/{header}>" for header in HEADERS),
         f'"{PROGRAMS.parent}/bindings/counting.hpp"',
-        f'"{parts[1]}"',
     ]
     lines = [f"#include {name}" for name in names]
     choices = []

@@ -1,59 +1,64 @@
-// Runs the controller of `hand_controller.hpp` for a hand in another process: `hand_controller FD
-// HAND_FILE RATE FRICTION` answers messages over an inherited socket (AF_UNIX, SOCK_SEQPACKET)
-// until it is closed. Each message is a row of doubles. In: number, state. Out: number of the
-// newest state, messages received, updates, duration of this update [s], late, over_budget, status;
+// Runs `grasp::HandController` for a hand in another process: `hand_controller FD HAND_FILE RATE
+// FRICTION` answers messages over an inherited socket (AF_UNIX, SOCK_SEQPACKET) until it is closed.
+// Each message is a row of doubles. In: number, `HandState::numbers()`. Out: number of the newest
+// state, messages received, updates, duration of this update [s], late, over_budget, status;
 // commands; torques.
-#include "hand_controller.hpp"
+#include <grasp/hand/hand_controller.hpp>
+#include <grasp/hand/tree_file.hpp>
 
 #include <cstdio>
 #include <poll.h>
 #include <sys/socket.h>
 
 int main(int count, char** arguments) try {
-  if (count != 5)
-    return std::fprintf(stderr, "usage: hand_controller FD HAND_FILE RATE FRICTION\n"), 2;
+  if (count != 5) {
+    std::fprintf(stderr, "usage: hand_controller FD HAND_FILE RATE FRICTION\n");
+    return 2;
+  }
   const int channel = std::atoi(arguments[1]);
   const auto hand = grasp::TreeFile::load(arguments[2]);
-  const double rate = std::atof(arguments[3]);
-  const double friction = std::atof(arguments[4]);
-  Calibration calibration;  // whole numbers from -240 to 240
+  grasp::HandControllerSettings settings;
+  settings.rate = std::atof(arguments[3]);
+  settings.friction = std::atof(arguments[4]);
+  grasp::Calibration calibration;  // whole numbers from -240 to 240
   for (const grasp::Link& link : hand->links) {
     calibration.torques.push_back({-link.torque_limit, link.torque_limit});
     calibration.units.push_back({-240.0, 240.0});
   }
-  HandController controller;
-  controller.configure(hand, {.friction = friction, .rate = rate}, calibration);
 
-  HandState state(hand->joints(), hand->fingers());
-  std::size_t numbers = 1;
-  for (auto part : PARTS) numbers += (state.*part).size();
-  Numbers in(numbers);
-  Numbers out;
+  grasp::HandState state(hand->joints(), hand->fingers());
+  std::vector<double> in(1 + state.numbers().size());
+  std::vector<double> out;
+  const std::size_t size = in.size() * sizeof(double);
+  // the posture of the first message is the one in which gains are computed; it stays in the queue
+  if (recv(channel, in.data(), size, MSG_PEEK) <= 0) return 0;
+  std::copy(in.begin() + 1, in.end(), state.numbers().begin());
+  grasp::HandController controller;
+  controller.configure(hand, settings, calibration, state[grasp::ANGLES]);
+
   pollfd ready{channel, POLLIN, 0};
-  const timespec patience{0, long(1.5e9 / rate)};  // the controller updates without a message, too
-  double heard = 0.0, updates = 0.0, measured = 0.0, last = 0.0;
+  // the controller updates without a message, too
+  const timespec patience{0, long(1.5e9 / settings.rate)};
+  double heard = 0.0, updates = 0.0, last = 0.0;
   while (true) {
-    ppoll(&ready, 1, heard ? &patience : nullptr, nullptr);
+    ppoll(&ready, 1, &patience, nullptr);
     bool fresh = false;
     ssize_t got;
-    while ((got = recv(channel, in.data(), numbers * sizeof(double), MSG_DONTWAIT)) > 0) {
+    while ((got = recv(channel, in.data(), size, MSG_DONTWAIT)) > 0) {
       fresh = true;
       ++heard;
     }  // only the newest is used
     if (got == 0) return 0;  // the other side has closed the socket
     const double now =
         std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
-    if (fresh) {
-      auto from = in.begin() + 1;
-      for (auto part : PARTS)
-        for (double& value : state.*part) value = *from++;
-      measured = now - state.age[0];
-    }
-    if (controller.status == HandController::inactive) {
+    if (fresh)
+      std::copy(in.begin() + 1, in.end(), state.numbers().begin());
+    else
+      for (double& age : state[grasp::AGES]) age += now - last;
+    if (controller.status == grasp::HandController::inactive) {
       controller.activate(state);
-      last = now - 1.0 / rate;
+      last = now - 1.0 / settings.rate;
     }
-    state.age[0] = now - measured;
     controller.update(state, now - last);
     last = now;
     ++updates;
@@ -69,5 +74,6 @@ int main(int count, char** arguments) try {
     send(channel, out.data(), out.size() * sizeof(double), MSG_DONTWAIT | MSG_NOSIGNAL);
   }
 } catch (const std::exception& error) {
-  return std::fprintf(stderr, "%s\n", error.what()), 2;
+  std::fprintf(stderr, "%s\n", error.what());
+  return 2;
 }
