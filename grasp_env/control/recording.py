@@ -89,6 +89,8 @@ class Recording:
         InvalidInputError: they are not those of one recording.
 
     Example:
+        >>> from grasp_env.control import HandController
+        >>> from grasp_env.sim import HandDescription
         >>> controller = HandController()
         >>> controller.configure(HandDescription.allegro())
         >>> controller.record(60.0)
@@ -176,18 +178,15 @@ class Recording:
         """
         file = as_path(path, InvalidInputError, "the file of a recording")
         read = {".csv": _from_csv, ".parquet": _from_parquet}[_suffix(file)]
-        return parsed(
-            file,
-            lambda blob: cls(*read(blob)),
-            InvalidInputError,
-            f"recording {file}",
-            _FORM,
-            _HINT,
-            WEIGHTS,
-        )
+        name = f"recording {file}"
+        parts = parsed(file, read, InvalidInputError, name, _FORM, _HINT, WEIGHTS)
+        try:
+            return cls(*parts)
+        except InvalidInputError as error:
+            raise InvalidInputError(f"{name}: {error}") from None
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write a file whole, as its suffix says, and return its path.
+        """Write a file, whole or not at all, in the form that its suffix names; return its path.
 
         Args:
             path: .csv, as the controller writes it: `# ` and the header, the columns, the rows, with
@@ -233,9 +232,7 @@ class Recording:
         return len(self.rows)
 
     def __repr__(self) -> str:
-        return (
-            f"Recording({len(self)} rows, {self.times[-1]:g} s, {self.joints} joints, {self.fingers} fingers)"
-        )
+        return f"Recording({len(self)} rows, {self.times[-1]:g} s, {self.joints} joints, {self.fingers} fingers)"
 
     @property
     def joints(self) -> int:
@@ -290,6 +287,8 @@ def replay(recording: Recording) -> Recording:
         InvalidInputError: rows that no controller records.
 
     Example:
+        >>> from grasp_env.control import HandController
+        >>> from grasp_env.sim import HandDescription
         >>> controller = HandController()
         >>> controller.configure(HandDescription.leap())
         >>> controller.record(1.0)
@@ -339,6 +338,8 @@ def differences(recording: Recording, again: Recording) -> Differences:
         InvalidInputError: they have others.
 
     Example:
+        >>> from grasp_env.control import HandController
+        >>> from grasp_env.sim import HandDescription
         >>> controller = HandController()
         >>> controller.configure(HandDescription.leap())
         >>> controller.record(1.0)
@@ -348,12 +349,16 @@ def differences(recording: Recording, again: Recording) -> Differences:
         (0, None, 0.0)
     """
     if recording.columns != again.columns or len(recording) != len(again):
-        raise InvalidInputError(f"two recordings of one run are needed, got {recording} and {again}")
+        raise InvalidInputError(
+            f"two recordings of one run are needed, got {recording} and {again}"
+        )
     differ = np.zeros(len(recording), dtype=bool)
     largest: dict[str, float] = {}
     for name in OUTPUTS:
         a, b = (each.rows[:, each._parts[name]] for each in (recording, again))
         unequal = (a.view(np.int64) != b.view(np.int64)) & ~(np.isnan(a) & np.isnan(b))
+        if name == "friction_used":  # in the first row it is that of before the recording
+            unequal[0] = False
         differ |= unequal.any(axis=1)
         with np.errstate(invalid="ignore"):
             gaps = np.abs(a[unequal] - b[unequal])
@@ -388,8 +393,9 @@ def _refused(name: str) -> None:
 
 def _setup(header: dict[str, Any]) -> _Setup:
     """Return what the header describes."""
+    digits = _entry(header, "hand", str)
     try:
-        tree = core.Tree.load(bytes.fromhex(_entry(header, "hand", str)))
+        tree = core.Tree.load(bytes.fromhex(digits))
     except ValueError:
         tree = None
     if tree is None or tree.fingers == 0:
@@ -411,9 +417,7 @@ def _setup(header: dict[str, Any]) -> _Setup:
                 "update yours"
             )
     tolerance = _like(1.0, given.get("tolerance", ""), "tolerance")
-    settings.set_follow(
-        tolerance, _like(1, given.get("max_iterations", ""), "max_iterations")
-    )
+    settings.set_follow(tolerance, _like(1, given.get("max_iterations", ""), "max_iterations"))
     table = _entry(header, "calibration", dict)
     calibration = core.Calibration()
     for name in ("torques", "units"):
@@ -495,11 +499,11 @@ def _from_csv(blob: bytes) -> tuple[tuple[str, ...], Array, str]:
     text, _, rest = blob.partition(b"\n")
     names, _, body = rest.partition(b"\n")
     if not text.startswith(b"# "):
-        raise InvalidInputError(f"its first line must be # and a JSON object, got {shown(text)}")
+        raise ValueError(f"its first line must be # and a JSON object, got {shown(text)}")
     # units have commas
     columns = tuple(re.split(r",(?![^[]*\])", names.decode().rstrip("\r")))
     if not body.endswith(b"\n"):
-        raise InvalidInputError("it is cut: no end of a line follows its last number")
+        raise ValueError("it is cut: no end of a line follows its last number")
     rows = np.loadtxt(io.BytesIO(body), delimiter=",", comments=None, ndmin=2, encoding="utf-8")
     return columns, rows, text[2:].decode().rstrip("\r")
 
@@ -511,13 +515,13 @@ def _from_parquet(blob: bytes) -> tuple[tuple[str, ...], Array, str]:
     with parquet.ParquetFile(io.BytesIO(blob)) as file:
         size = file.metadata.num_rows * file.metadata.num_columns
         if size > _MOST:
-            raise InvalidInputError(f"it holds {size} numbers, and {_MOST} are allowed")
+            raise ValueError(f"it holds {size} numbers, and {_MOST} are allowed")
         text = (file.schema_arrow.metadata or {}).get(KIND.encode())
         if text is None:
-            raise InvalidInputError(f"its metadata has no entry {KIND!r}")
+            raise ValueError(f"its metadata has no entry {KIND!r}")
         table = file.read()
     types = {str(column.type) for column in table.columns}
     if types != {"double"} or any(column.null_count for column in table.columns):
-        raise InvalidInputError(f"its columns must be float64 without gaps, got {shown(types)}")
+        raise ValueError(f"its columns must be float64 without gaps, got {shown(types)}")
     rows = np.column_stack([column.to_numpy() for column in table.columns])
     return tuple(table.column_names), rows, text.decode()
