@@ -33,7 +33,7 @@ _UNITS = {
 class Replay:
     """Run a recording of a hand's controller again, compare, and draw it.
 
-    The exit code is 0 if all that the controller did comes out bit for bit, and 1 if not.
+    Exit code 0: all that the controller did comes out bit for bit; 1: not.
 
     Attributes:
         recording: a .csv or .parquet file of HandController.record.
