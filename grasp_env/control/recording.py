@@ -85,6 +85,9 @@ class Recording:
         rows: (K, W).
         text: JSON of the hand, the settings, the calibration and the home posture.
 
+    Attributes:
+        header: what `text` holds, its numbers as floats.
+
     Raises:
         InvalidInputError: they are not those of one recording.
 
@@ -189,8 +192,8 @@ class Recording:
         """Write a file, whole or not at all, in the form that its suffix names; return its path.
 
         Args:
-            path: .csv, as the controller writes it: `# ` and the header, the columns, the rows, with
-                17 digits; or .parquet (extra "parquet"), with the header in the file's metadata.
+            path: .csv, as the controller writes it: a comment with the header, the columns, the
+                rows, with 17 digits; or .parquet (extra "parquet"), with the header in the file's metadata.
 
         Raises:
             InvalidInputError: another suffix.
