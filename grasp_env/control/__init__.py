@@ -6,5 +6,14 @@ from grasp_env.control.hand import (
     HandControllerSettings,
     HandState,
 )
+from grasp_env.control.recording import Recording, differences, replay
 
-__all__ = ["Calibration", "HandController", "HandControllerSettings", "HandState"]
+__all__ = [
+    "Calibration",
+    "HandController",
+    "HandControllerSettings",
+    "HandState",
+    "Recording",
+    "differences",
+    "replay",
+]

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ import pytest
 from sim.mesh_samples import ENTITIES
 from urdf_text import small, solid
 
+from grasp_env.control import Recording
 from grasp_env.errors import GraspError
 from grasp_env.grasp import load_grasp, presets, save_grasp
 from grasp_env.inputs.files import read_bytes, stand_in
@@ -41,6 +43,17 @@ def mesh(path: Path) -> Any:
     return ObjectDescription("mesh", (1.0,), mesh=str(link))
 
 
+def recording(suffix: str) -> Callable[[Path], Any]:
+    """The recording that is that file, under a name that a recording may have."""
+
+    def load(path: Path) -> Any:
+        link = path.parent / f"{path.name}.{suffix}"
+        link.symlink_to(path)
+        return Recording.load(link)
+
+    return load
+
+
 READERS: dict[str, Callable[[Path], Any]] = {
     "grasp": load_grasp,
     "urdf": lambda path: HandDescription.from_urdf(path, ["tip"]),
@@ -48,6 +61,8 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "agent": agent,
     "run": lambda path: Run(path.parent).read_json(path.name),
     "table": table.read,
+    "recording": recording("csv"),
+    **({"parquet": recording("parquet")} if find_spec("pyarrow") else {}),
 }
 FILES: dict[str, Callable[[Path], Any]] = {
     "missing": lambda path: None,

@@ -27,6 +27,7 @@ COMMANDS = {
     "solve": ("Solve", "Optimise one grasp force and print it."),
     "hand": ("Hand", "Read a hand's file, and list what was repaired in it."),
     "object": ("Object", "Show how a mesh is read, repair it, or list the cache."),
+    "replay": ("Replay", "Run a recording of a hand's controller again."),
     "live": ("Live", "Open a grasp in the browser and pull on the object."),
     "demo": ("Demo", "Save a picture or a video of the simulated hand."),
     "evaluate": ("Evaluate", "Compare starts, controllers, hands or engines."),
@@ -38,7 +39,7 @@ COMMANDS = {
 """Class in `training.program.commands.<sub-command>`, and line in `grasp --help`."""
 EXIT_CODES = {
     0: "done",
-    1: "a fault of the program",
+    1: "a fault of the program; of replay: a difference",
     2: "wrong usage: an option, name, file or path, or a missing extra",
     3: "infeasible: no force within cones and limits balances the wrench",
     4: "no certified optimum: iteration limit, stalled, or without a start",
@@ -105,13 +106,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
-        _parse(words).execute()
+        code = _parse(words).execute()
         sys.stdout.flush()
     except BrokenPipeError:  # the reader closed the pipe
         _drop_output()
+        return 0
     except (Exception, KeyboardInterrupt) as error:
         return _fail(error, "--json" in words)
-    return 0
+    return code or 0
 
 
 def _parse(words: list[str]) -> Any:
