@@ -360,8 +360,6 @@ def differences(recording: Recording, again: Recording) -> Differences:
     for name in OUTPUTS:
         a, b = (each.rows[:, each._parts[name]] for each in (recording, again))
         unequal = (a.view(np.int64) != b.view(np.int64)) & ~(np.isnan(a) & np.isnan(b))
-        if name == "friction_used":  # in the first row it is that of before the recording
-            unequal[0] = False
         differ |= unequal.any(axis=1)
         with np.errstate(invalid="ignore"):
             gaps = np.abs(a[unequal] - b[unequal])

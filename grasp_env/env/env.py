@@ -57,17 +57,20 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     - Other ticks: Newton from the last command, or the conic solver if `method` is "conic".
       `info["followed"]` counts the iterations.
 
-    The forces become joint torques. A finger without contact reaches for its place. When a finger
-    slips off or lands, the forces of all others restore balance at the next tick. Any further
-    change of a force component is limited to `controller.force_rate` [N/s], unless the torque
-    limits require more.
+    The forces become joint torques. A spring and damper hold each touching fingertip at its place
+    on the object's target pose, see `controller.grip_stiffness`; where such a spring pulls for
+    long, the finger presses harder, so that the sum stays inside the cone. A finger without contact
+    reaches for its place. When a finger slips off or lands, the forces of all others restore
+    balance at the next tick. Any further change of a force component is limited to
+    `controller.force_rate` [N/s], unless the torque limits require more.
 
     Torques stay within the motors' limits, reduced by the torques that carry the links' weight. If
     a force needs more, Newton within the limits continues from it in the same control tick
     (`info["limited"]` counts its iterations). There are two fallbacks; in both the episode goes on:
 
-    - No force inside the friction cones balances the wrench: the forces inside the cones with the
-      smallest imbalance are commanded.
+    - No force within the margin balances the wrench: forces inside the friction cones that do, or
+      else those with the smallest imbalance, are commanded. So are they where balance would need
+      forces far above the last ones and the load.
     - Such forces exist, but none within the torque limits: the one that exceeds the limits least is
       commanded, and its torques are clipped to the limits (`info["saturated"]`).
 
@@ -165,7 +168,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     | `force_closure` | | bool | the contacts could balance the wrench at the last tick |
     | `contacts`, `contact_changes` | | 1 | number of fingers in contact, and of its changes since reset |
     | `wrench` | (6,) | N, N m | wrench to balance, object frame |
-    | `commanded_force`, `measured_force` | (N, 3) | N | contact forces, contact frames |
+    | `commanded_force`, `measured_force` | (N, 3) | N | contact forces, contact frames; commanded are the optimal ones and the springs |
     | `force_error` | | N | largest component of their difference |
     | `touching` | (N,) | bool | fingers that touch |
     | `stray_force` | | N | force of links other than fingertips on the object |

@@ -301,7 +301,6 @@ HEADERS: dict[str, tuple[str, Any, str]] = {
     "short spring": ("settings/grip", [1.0, 2.0], "grip .* list of 3 numbers"),
     "new setting": ("settings/humour", 1.0, "unknown setting 'humour'"),
     "method": ("settings/set_follow", 1.0, "unknown setting 'set_follow'"),
-    "squeeze": ("settings/squeeze", 1.0, "not that of its own controller"),
     "more": ("comment", "mine", "not that of its own controller"),
     "tables": ("calibration/torques", [[1.0]], "describes no controller: a calibration"),
     "no tables": ("calibration/units", 3.0, "entry 'units' of type list"),

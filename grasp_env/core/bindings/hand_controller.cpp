@@ -14,6 +14,13 @@ using namespace grasp;
 
 namespace {
 
+// The controller, or a ValueError before `configure`.
+HandController& configured(nb::handle self) {
+  auto& controller = nb::cast<HandController&>(self);
+  if (controller.torques.empty()) throw nb::value_error("configure the controller first");
+  return controller;
+}
+
 // What an agent wants of an update, in arrays that live as long as the call.
 class AgentStep {
  public:
@@ -43,8 +50,9 @@ class AgentStep {
   Buffer adjustment_, start_, command_;
 };
 
-nb::typed<nb::list, double> act(HandController& controller, bool due, nb::handle adjustment,
-                                nb::handle start, nb::handle command) {
+nb::typed<nb::list, double> act(nb::handle self, bool due, nb::handle adjustment, nb::handle start,
+                                nb::handle command) {
+  HandController& controller = configured(self);
   if (due) {
     const AgentStep step(controller, adjustment, start, command);
     controller.act(&step.step);
@@ -70,9 +78,12 @@ View part(nb::handle self, HandPart which, const HandState& state) {
   return View(first, {numbers.size()}, self);
 }
 
+// Python holds views of what `configure` makes.
 void configure(HandController& controller, const std::shared_ptr<Tree>& tree,
                const HandControllerSettings& settings, const Calibration& calibration,
                const std::vector<double>& home, nb::handle optimizer) {
+  if (!controller.torques.empty())
+    throw nb::value_error("this controller is configured already: make a new one");
   if (optimizer.is_none())
     controller.configure(tree, settings, calibration, home);
   else
@@ -97,7 +108,7 @@ void bind_parts(nb::class_<HandState>& to, std::integer_sequence<int, PARTS_...>
 }
 
 Arrays arrays(nb::handle self) {
-  auto& c = nb::cast<HandController&>(self);
+  auto& c = configured(self);
   GripForces& forces = c.forces();
   Springs& springs = c.springs();
   const std::size_t fingers = c.model().tree->fingers();
@@ -270,11 +281,13 @@ void bind_hand_controller(nb::module_& m) {
       .def_ro("late", &HandController::late, "Number of updates after a missed deadline.")
       .def_ro("over_budget", &HandController::over_budget,
               "Number of updates longer than the budget.")
-      .def_prop_ro("effort", [](const HandController& c) { return c.forces().effort; })
+      .def_prop_ro("effort", [](nb::handle self) { return configured(self).forces().effort; })
       .def_prop_ro(
-          "code", [](const HandController& c) { return int(c.code()); },
+          "code", [](nb::handle self) { return int(configured(self).code()); },
           "Code of the method's last solve.")
-      .def_prop_ro("closure", &HandController::closure, "True if forces balance the wrench.")
+      .def_prop_ro(
+          "closure", [](nb::handle self) { return configured(self).closure(); },
+          "True if forces balance the wrench.")
       .def("arrays", &arrays, "Views of the commands by name; overwritten in place.")
       .def_ro("mask", &HandController::mask, "Fingers that count as in contact: 2^i for finger i.")
       .def_ro("changes", &HandController::changes, "Number of changes of `mask`.")

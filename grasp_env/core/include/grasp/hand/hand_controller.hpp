@@ -87,8 +87,8 @@ class HandController {
   // Record from the next `activate` on, for as many seconds at most. Allocates. Throws
   // std::invalid_argument for a controller with a given method, which a recording does not hold.
   void record(double seconds) {
-    if (!parts_ || !has_own_solver_)
-      throw std::invalid_argument("a controller with its own solver is needed to record");
+    if (!parts_ || !has_own_solver_ || settings_.follow.method != Method::newton)
+      throw std::invalid_argument("a controller with its own Newton solver is needed to record");
     if (!(seconds > 0.0 && seconds * settings_.rate < 1e9))
       throw std::invalid_argument("a recording needs a time above 0 s");
     const Tree& tree = *parts_->model.tree;
@@ -142,6 +142,8 @@ class HandController {
     std::fill(torques.begin(), torques.end(), 0.0);
     std::fill(commands.begin(), commands.end(), 0.0);
     std::fill(force.begin(), force.end(), 0.0);
+    std::fill(spring_torques.begin(), spring_torques.end(), 0.0);
+    std::fill(friction_used_.begin(), friction_used_.end(), 0.0);
   }
 
   // Write `torques` and `commands`. state: the newest message, of any age; one that is not of this
@@ -169,9 +171,11 @@ class HandController {
     prepare();
   }
   void act(const StepRequest* step = nullptr) noexcept {
-    if (status != inactive) command(step);
-    for (std::size_t j = 0; j < torques.size(); ++j)
-      commands[j] = calibration_(int(j), torques[j], spring_torques[j]);
+    if (status != inactive) {
+      command(step);
+      for (std::size_t j = 0; j < torques.size(); ++j)
+        commands[j] = calibration_(int(j), torques[j], spring_torques[j]);
+    }
     duration = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin_).count();
     over_budget += duration > settings_.budget;
     if (status != inactive && given_) {
@@ -200,6 +204,8 @@ class HandController {
  private:
   // rounding at a torque limit, as a fraction of it
   static constexpr double ROUNDED = 1e-9;
+  // a message with a larger number is wrong, whatever its unit
+  static constexpr double LARGEST_NUMBER = 1e6;
   // What is made anew by `configure`.
   struct Parts {
     HandModel model;
@@ -268,6 +274,8 @@ class HandController {
                           s.follow);
   }
   static std::vector<double> posture(const Tree& tree, std::span<const double> home) {
+    if (!std::ranges::all_of(home, [](double angle) { return std::isfinite(angle); }))
+      throw std::invalid_argument("home must be finite angles");
     if (!home.empty() && int(home.size()) != tree.joints())
       throw std::invalid_argument("home must be one angle for each joint, or empty");
     std::vector<double> out(home.begin(), home.end());
@@ -287,17 +295,19 @@ class HandController {
 
   bool good(const HandState& state) const {
     if (state.numbers().size() != now_.numbers().size()) return false;
-    double total = 0.0;
+    double most = 0.0;
+    const auto take = [&](double number) {  // not finite: the sum of all
+      most = std::isfinite(number) ? std::max(most, std::abs(number)) : infinity;
+    };
     for (int part = 0; part < PARTS; ++part)
       if (part != POSITIONS && part != NORMALS)
-        for (double number : state[HandPart(part)]) total += std::abs(number);
+        for (double number : state[HandPart(part)]) take(number);
     for (std::size_t i = 0; i < updates_apart_.size(); ++i)
       if (state.touches(i)) {
-        const double size = length(state.normal(i));
-        total += length(state.position(i)) + size;
-        if (!(std::abs(size - 1.0) <= UNIT_TOLERANCE)) return false;
+        for (int k = 0; k < 3; ++k) take(state.position(int(i))[k]);
+        if (!(std::abs(length(state.normal(int(i))) - 1.0) <= UNIT_TOLERANCE)) return false;
       }
-    return total < infinity;
+    return most <= LARGEST_NUMBER;
   }
   void take(const HandState& state) {
     for (int part = 0; part < PARTS; ++part)
@@ -390,6 +400,11 @@ class HandController {
       status = share > 0.0 && pushing ? coasting : released;
     }
     add_free_springs(pushing);
+    if (!std::ranges::all_of(wanted_, [](double torque) { return std::isfinite(torque); })) {
+      forces.reset();
+      wanted_ = model.carrying;
+      status = released;
+    }
     limit(period);
   }
   // The commanded forces: these shares of the optimal ones and of the springs.

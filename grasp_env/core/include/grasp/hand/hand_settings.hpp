@@ -41,10 +41,10 @@ struct HandControllerSettings {
                                    // which they then fade
 
   // Of agents and of the controllers that are compared with this one.
-  bool remembers = true;           // the method gets the last command, for starts that use it
-  std::vector<double> directions;  // (N, 3, K) [1], object frame: internal forces that an
-                                   // adjustment of the start combines
-  double squeeze = 40.0;           // [N] total normal force for `Hold::squeeze`
+  bool remembers = true;             // the method gets the last command, for starts that use it
+  std::vector<double> directions{};  // (N, 3, K) [1], object frame: internal forces that an
+                                     // adjustment of the start combines
+  double squeeze = 40.0;             // [N] total normal force for `Hold::squeeze`
 };
 
 // Call f(name, value) for the settings of a controller with its own solver.
@@ -60,6 +60,7 @@ template <class Settings, class F> void each_setting(Settings& s, F&& f) {
   f("joint_delay", s.joint_delay);
   f("grip", s.grip);
   f("place", s.place);
+  f("squeeze", s.squeeze);
   f("reach_stiffness", s.reach_stiffness);
   f("reach_force", s.reach_force);
   f("reach_limit", s.reach_limit);

@@ -34,10 +34,10 @@ class HandState {
       {"touching", "1", 0, 1, 0},
       {"positions", "m", 0, 3, 0},
       {"normals", "1", 0, 3, 0},
-      {"wrench", "N, N m", 0, 0, 6},
+      {"wrench", "N; N m", 0, 0, 6},
       {"gravity", "m/s^2", 0, 0, 3},
-      {"object", "m, 1, m/s, rad/s", 0, 0, 13},
-      {"target", "m, 1, m/s, rad/s", 0, 0, 13},
+      {"object", "m; 1; m/s; rad/s", 0, 0, 13},
+      {"target", "m; 1; m/s; rad/s", 0, 0, 13},
       {"ages", "s", 0, 0, 3},
   };
 

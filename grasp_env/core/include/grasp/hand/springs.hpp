@@ -71,7 +71,9 @@ class Springs {
   // object: what has slid is not drawn back for ever. time: [s]
   void settle(int i, const HandState& state, double time) {
     const Point now = model_.turn.transposed(model_.tips[i] - state.object().position);
-    places_[i].tip += time / (time + SETTLING) * (now - place(i, model_.turn));
+    const Point way = now - place(i, model_.turn);
+    const double share = FARTHEST / std::max(length(way), FARTHEST);
+    places_[i].tip += time / (time + SETTLING) * share * way;
   }
   // torques (M,) += those that draw a free finger to its goal on the object; kept: to its place on
   // the target.
@@ -130,13 +132,17 @@ class Springs {
  private:
   static constexpr Point NOWHERE{infinity, infinity, infinity};
   static constexpr double SETTLING = 1.0;  // [s]
-  // Near its ends, a joint that the tips leave free is drawn back END times as stiffly as home.
+  // [m] a place does not follow what is farther: one wrong pose of the object moves it by 0.1 mm at
+  // most
+  static constexpr double FARTHEST = 5e-3;
+  // A joint that the tips leave free is drawn back near its ends, and the link of a touching tip
+  // turned back, by so many times the stiffness of the posture.
+  static constexpr double END = 100.0, ROLL = 30.0;
   static constexpr double NEAR_END = 0.2;  // [rad]
-  static constexpr double END = 100.0;
-  static constexpr double ROLL = 30.0;
   const HandModel& model_;
   std::vector<Spring> grip_, reach_;  // (N,)
-  // (M,) towards the home posture, and away from the ends of a joint [N m/rad], [N m s/rad]
+  // (M,) towards the home posture, away from the ends of a joint, against rolling [N m/rad], [N m
+  // s/rad]
   std::vector<Spring> posture_, range_, roll_;
   Spring place_;
   double reach_depth_ = 0.0;  // [m] below the surface: goal of free fingers
