@@ -204,7 +204,12 @@ class Calibration:
     def newton_metres(
         cls, hand: HandDescription, friction: ArrayLike = (), dead_band: ArrayLike = ()
     ) -> Calibration:
-        """Return the calibration of a hand whose motors take N m; losses as of the class."""
+        """Return the calibration of a hand whose motors take N m.
+
+        Args:
+            hand: The hand.
+            friction, dead_band: as of the class.
+        """
         made = core.Calibration.newton_metres(HandKinematics(hand).tree)
         return cls(made.torques, made.units, friction, dead_band)
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 from itertools import product
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from grasp_env.config import EnvConfig
 from grasp_env.control.closing import close_hand, take_over
@@ -166,7 +165,9 @@ class Stage:
         tips = points - radii * grasp.contact_normals
         start = np.array(grasp.start_angles) if grasp.start_angles else None
         for row in self.config.task.target(times, 1.0 / self.config.controller.rate):
-            turned = Rotation.from_quat(row[3:7]).apply(tips)
+            axis, w = row[3:6], row[6]
+            across = np.cross(axis, tips)
+            turned = tips + 2.0 * (w * across + np.cross(axis, across))
             start = kinematics.solve(row[:3] + turned, start)
 
     def _settle(self) -> None:

@@ -55,7 +55,7 @@ class HandController {
   void configure(std::shared_ptr<const Tree> hand, const HandControllerSettings& settings,
                  const Calibration& calibration, const ForceOptimizer& method,
                  std::span<const double> home = {}) {
-    check(settings);
+    settings.check();
     calibration.check(hand->joints());
     settings_ = settings;
     calibration_ = calibration;
@@ -204,8 +204,6 @@ class HandController {
  private:
   // rounding at a torque limit, as a fraction of it
   static constexpr double ROUNDED = 1e-9;
-  // a message with a larger number is wrong, whatever its unit
-  static constexpr double LARGEST_NUMBER = 1e6;
   // What is made anew by `configure`.
   struct Parts {
     HandModel model;
@@ -234,29 +232,6 @@ class HandController {
   std::vector<double> friction_used_;  // (N,) share of the friction that each command uses
   std::vector<double> wanted_, work_;  // (M,) torques before limits, work space [N m]
 
-  static void check(const HandControllerSettings& s) {
-    const auto require = [](bool good, const char* message) {
-      if (!good) throw std::invalid_argument(message);
-    };
-    const auto finite = [](double value) { return value >= 0.0 && value < infinity; };
-    require(s.rate > 0.0 && s.rate < infinity, "rate must be above 0 Hz");
-    require(s.friction_margin > 0.0 && s.friction_margin <= 1.0,
-            "friction_margin must be above 0 and at most 1");
-    require(finite(s.preload), "preload must be at least 0 N");
-    for (const Spring* spring : {&s.grip, &s.place})
-      require(finite(spring->gain) && finite(spring->damping) && spring->limit >= 0.0,
-              "stiffness, damping and limit of springs must be at least 0");
-    require(s.reach_stiffness > 0.0 && s.reach_stiffness < infinity && finite(s.reach_force) &&
-                s.reach_limit >= 0.0,
-            "reach_stiffness must be above 0, and the forces of reaching fingers at least 0");
-    require(finite(s.posture_stiffness) && finite(s.posture_damping) && finite(s.damping),
-            "stiffness and damping of joints must be at least 0");
-    require(s.force_rate > 0.0 && s.torque_rate > 0.0,
-            "force_rate and torque_rate must be above 0");
-    require(s.stale >= 0.0 && s.stale_wrench >= 0.0 && s.grace >= 0.0 && s.fade > 0.0 &&
-                finite(s.joint_delay),
-            "times must be at least 0, and fade above 0");
-  }
   // The controller's own solver. Its contacts are placeholders: every update passes those seen.
   static ForceOptimizer newton(int fingers, const HandControllerSettings& s) {
     std::vector<double> ring(3 * fingers);
@@ -307,7 +282,7 @@ class HandController {
         for (int k = 0; k < 3; ++k) take(state.position(int(i))[k]);
         if (!(std::abs(length(state.normal(int(i))) - 1.0) <= UNIT_TOLERANCE)) return false;
       }
-    return most <= LARGEST_NUMBER;
+    return most <= LARGEST;
   }
   void take(const HandState& state) {
     for (int part = 0; part < PARTS; ++part)

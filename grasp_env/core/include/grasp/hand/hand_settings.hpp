@@ -45,6 +45,30 @@ struct HandControllerSettings {
   std::vector<double> directions{};  // (N, 3, K) [1], object frame: internal forces that an
                                      // adjustment of the start combines
   double squeeze = 40.0;             // [N] total normal force for `Hold::squeeze`
+
+  // Throws std::invalid_argument.
+  void check() const {
+    const auto require = [](bool good, const char* message) {
+      if (!good) throw std::invalid_argument(message);
+    };
+    const auto finite = [](double value) { return value >= 0.0 && value < infinity; };
+    require(rate > 0.0 && rate < infinity, "rate must be above 0 Hz");
+    require(friction_margin > 0.0 && friction_margin <= 1.0,
+            "friction_margin must be above 0 and at most 1");
+    require(finite(preload), "preload must be at least 0 N");
+    for (const Spring* spring : {&grip, &place})
+      require(finite(spring->gain) && finite(spring->damping) && spring->limit >= 0.0,
+              "stiffness, damping and limit of springs must be at least 0");
+    require(reach_stiffness > 0.0 && reach_stiffness < infinity && finite(reach_force) &&
+                reach_limit >= 0.0,
+            "reach_stiffness must be above 0, and the forces of reaching fingers at least 0");
+    require(finite(posture_stiffness) && finite(posture_damping) && finite(damping),
+            "stiffness and damping of joints must be at least 0");
+    require(force_rate > 0.0 && torque_rate > 0.0, "force_rate and torque_rate must be above 0");
+    require(
+        stale >= 0.0 && stale_wrench >= 0.0 && grace >= 0.0 && fade > 0.0 && finite(joint_delay),
+        "times must be at least 0, and fade above 0");
+  }
 };
 
 // Call f(name, value) for the settings of a controller with its own solver.
