@@ -183,6 +183,22 @@ def test_delays(late, later):
             assert_array_equal(controller.arrays()["wrench"], known)  # of a body without mass
 
 
+@pytest.mark.parametrize(("joints", "rest"), [(2, 0), (0, 3), (1, 4), (5, 2)])
+def test_joints_have_a_delay_of_their_own(joints, rest):
+    """Rates are those of `joints` ticks ago, forces those of `rest` ticks ago."""
+    scene, truth = scene_alone()
+    sensors = core.SensorSettings()
+    sensors.joint_delay, sensors.delay = joints, rest
+    made, controller = hand_alone(scene, sensors=sensors)
+    made.reset()
+    for k in range(12):
+        truth.forces[:] = truth.rates[:] = k
+        seen = look(made, np.zeros(6), np.zeros(15))
+        assert (seen.forces == max(k - rest, 0)).all()
+        assert (seen.rates == max(k - joints, 0)).all()
+    assert controller.status != "inactive"
+
+
 def test_late_measurements_are_extrapolated():
     """A free object turns and drifts at constant speed, one joint moves slowly; measurements are 20
     ms late."""

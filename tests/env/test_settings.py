@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from engines import needs_bullet
 from episodes import random_object
 
 from grasp_env.config import ControllerSettings, EnvConfig, SensorSettings, SolverSettings
@@ -215,6 +216,30 @@ def test_motors_deliver_a_part_of_the_command():
         env.close()
     assert len(largest) == 10
     assert max(largest) == 12.0
+
+
+@needs_bullet
+@pytest.mark.parametrize(
+    ("rate", "time", "ticks"), [(250, 0.004, 1), (1000, 0.004, 4), (250, 0.01, 3)]
+)
+def test_torque_noise_stays_for_its_time(rate, time, ticks):
+    """The same relative error of each joint for `noise_time`, whatever the control rate."""
+    controller = {"rate": rate, "force_noise": 0.05, "noise_time": time}
+    env = FourFingerGrasp(controller=controller, engine={"name": "bullet", "rate": 1000})
+    env.reset(seed=0)
+    advance, loop = env.scene.advance, env._loop
+    factors = []
+
+    def note(torques: list[float], push: Any) -> None:
+        factors.append(np.array(torques)[1] / loop.torques[1])
+        advance(torques, push)
+
+    env.scene.advance = note
+    env.step(ZERO)
+    env.close()
+    for k in range(1, len(factors)):
+        same = factors[k] == pytest.approx(factors[k - 1], rel=1e-12)
+        assert same == (k % ticks != 0)
 
 
 def test_a_rule_of_length_zero_is_drawn():
