@@ -20,6 +20,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import deque
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -50,7 +51,15 @@ BANDWIDTH = 40.0, 60.0
 RISE = 0.05
 """Time before the hand carries the object [s]."""
 FIRST_CUT, CUT_EVERY, CUT_FOR = 0.5, 0.4, 0.1
-"""Time of cut contacts: first cut, interval between fingers, duration [s]."""
+"""Time of cut contacts: first cut, interval between fingers, duration [s]. Fingers that are pulled off
+need twice the interval to find the object again."""
+PULL = 3.0
+"""Force that pulls a fingertip off the object while its contact is cut, in a run with errors [N]."""
+JOINT_DELAY, DELAY = 0.002, 0.010
+"""Delays of joints, and of contacts and object, in a run with errors [s]."""
+FRICTION_ERROR, NOISE, NOISE_TIME = 0.25, 0.05, 0.004
+"""Errors of the friction that the controller is told and of delivered torques, and the time for which
+a draw of these stays [s], in a run with errors."""
 FIRST_SILENCE, SILENCE_EVERY, SILENT_FOR = 0.7, 1.2, 0.04
 """Time when messages stop, long enough to coast, never while contacts are cut [s]."""
 SENSOR_AGE = 0.001
@@ -85,19 +94,23 @@ class HandLoopSettings:
         rate: rate of the hand's messages and of the controller [Hz]; a divisor of 1000.
         seconds: simulated and real time.
         language: languages of the controller, one after another.
+        errors: if True, joints, contacts and object are measured late, the controller is told too
+            much friction, torques are noisy, and cut fingers are pulled off the object.
     """
 
     hand: Literal["allegro", "leap"] = "allegro"
     rate: Literal[1000, 500, 250, 100] = 1000
     seconds: int = 60
     language: tuple[Literal["cpp", "python"], ...] = ("cpp", "python")
+    errors: bool = False
 
 
 def run(settings: HandLoopSettings) -> pd.DataFrame:
     """Run the loop; return one row per update, one per answered message, and a row of counts."""
     rows: list[dict[str, Any]] = []
     for language in settings.language:
-        measured = measure(settings.hand, settings.rate, settings.seconds, language)
+        hand = SimulatedHand(settings.hand, settings.rate, settings.errors)
+        measured = measure(hand, settings.seconds, language)
         keys = {"hand": settings.hand, "method": language}
         for case, times in ((UPDATE, measured.durations), (TRIP, measured.trips.values())):
             rows += [
@@ -109,32 +122,32 @@ def run(settings: HandLoopSettings) -> pd.DataFrame:
 
 
 def measure(
-    name: str, rate: int, seconds: float, language: str, program: Path | None = None
+    hand: SimulatedHand, seconds: float, language: str, program: Path | None = None
 ) -> Loop:
-    """Run the loop once; without a compiled `program` the example is built.
+    """Run the loop once, and close the hand; without a compiled `program` the example is built.
 
     Raises:
         SimulationError: the controller failed.
     """
-    hand = SimulatedHand(name, rate)
+    rate = hand.rate
     mine, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     process: Any = None
     try:
         with tempfile.TemporaryDirectory() as scratch, other:
             folder = Path(scratch)
             if language == "python":
-                args = other, hand.hand, float(rate), hand.friction
+                args = other, hand.hand, float(rate), hand.told
                 spawn = multiprocessing.get_context("spawn")
                 process = spawn.Process(target=serve, args=args, daemon=True)
                 process.start()
             else:
                 file = hand.scene.kinematics.export(folder / "hand")
                 channel = other.fileno()
-                friction = f"{hand.friction:.17g}"
+                friction = f"{hand.told:.17g}"
                 words = [program or build(folder), str(channel), file, str(rate), friction]
                 process = subprocess.Popen(words, pass_fds=[channel])
             other.close()
-            loop = Loop(hand, mine, rate)
+            loop = Loop(hand, mine)
             loop.run(seconds)
             return loop
     finally:
@@ -149,9 +162,19 @@ def measure(
 
 
 class SimulatedHand:
-    """Simulated hand that holds an object, with the interface of a hardware driver."""
+    """Simulated hand that holds an object, with the interface of a hardware driver.
 
-    def __init__(self, name: str, rate: int) -> None:
+    Args:
+        name: its name in `HANDS`.
+        rate: rate of its messages [Hz].
+        errors: see `HandLoopSettings`.
+
+    Attributes:
+        told: the friction that the controller is told.
+    """
+
+    def __init__(self, name: str, rate: int, errors: bool = False) -> None:
+        self.rate, self.errors = rate, errors
         ball = {"shape": "sphere", "size": (0.06,), "friction": 0.7, "mass": 0.15}
         rates = {"controller.rate": rate, "agent.rate": rate // 10}
         self.env = FourFingerGrasp(hand=HANDS[name](), engine=MujocoEngine(), **rates, **ball)
@@ -162,6 +185,14 @@ class SimulatedHand:
         self.friction = scene.config.object.friction * self.hand.tip_friction
         self.body = critically_damped(scene.config.object, *BANDWIDTH)
         self.target = resting_target(1)[0]
+        self.told = self.friction * (1.0 + FRICTION_ERROR * errors)
+        self._rng = np.random.default_rng(0)
+        self._noise = np.ones(len(self.limits))
+        self._steps = 0
+        late = [round(delay * rate) * errors for delay in (JOINT_DELAY, DELAY)]
+        self._joints, self._rest = (deque[HandState](maxlen=1 + ticks) for ticks in late)
+        links = scene.kinematics.tip_links
+        self._tips = [scene.simulator.model.body(f"link{int(link)}").id for link in links]
 
     def drift(self) -> float:
         """Return the object's distance from the pose at which it was grasped [mm]."""
@@ -169,25 +200,55 @@ class SimulatedHand:
 
     def step(self, commands: Array) -> None:
         """Simulate a period with commands in device units."""
-        self.scene.advance((commands / UNITS * self.limits).tolist(), None)
+        torques = commands / UNITS * self.limits
+        if self.errors:
+            if self._steps % round(NOISE_TIME * self.rate) == 0:
+                self._noise = 1.0 + NOISE * self._rng.standard_normal(len(torques))
+            torques = np.clip(torques * self._noise, -self.limits, self.limits)
+        self._steps += 1
+        self.scene.advance(torques.tolist(), None)
 
     def state(self, cut: int = -1) -> HandState:
-        """Return a message in the frame of the base; finger `cut` reports no contact, -1: all do."""
+        """Return a message in the frame of the base.
+
+        Finger `cut` loses its contact, -1: none does. Without errors it only reports so; with
+        errors it is pulled away from the object.
+        """
+        now = self._measured()
+        pulls = self.scene.simulator.data.xfrc_applied
+        pulls[self._tips] = 0.0
+        if cut >= 0 and self.errors:
+            pulls[self._tips[cut], :3] = -PULL * now.normals[cut]
+        elif cut >= 0:
+            now.touching[cut] = 0.0
+        self._joints.append(now)
+        self._rest.append(now)
+        joints = self._joints[0]
+        sent = self.new_state()
+        sent.numbers[:] = self._rest[0].numbers
+        sent.angles, sent.rates = joints.angles, joints.rates
+        late = np.array([len(self._joints) - 1, len(self._rest) - 1, len(self._rest) - 1])
+        sent.ages[:] = SENSOR_AGE + late / self.rate
+        return sent
+
+    def new_state(self) -> HandState:
+        """Return an empty message of this hand."""
+        return HandState(self.hand.joint_count, self.hand.finger_count)
+
+    def _measured(self) -> HandState:
+        """Return the present state, except for the ages."""
         reading = self.scene.look()
         load = np.array(self.body.wrench(self.scene.core, self.target, self.scene.gravity))
         force = reading.rotation @ load[:3]
         moment = reading.rotation @ load[3:] + np.cross(reading.position, force)
-        state = HandState(self.hand.joint_count, self.hand.finger_count)
+        state = self.new_state()
         state.angles = reading.angles
         state.rates = reading.rates
         state.touching = reading.touching
-        if cut >= 0:
-            state.touching[cut] = 0.0
         state.positions = reading.touch
         state.normals = reading.normals @ reading.rotation.T
         state.wrench = np.concatenate([force, moment])
         state.gravity = self.scene.gravity
-        state.ages[:] = SENSOR_AGE
         return state
 
 
@@ -201,10 +262,10 @@ class Loop:
         counts: columns of the table for the whole run.
     """
 
-    def __init__(self, hand: SimulatedHand, channel: socket.socket, rate: int) -> None:
+    def __init__(self, hand: SimulatedHand, channel: socket.socket) -> None:
         self.hand = hand
         self.channel = channel
-        self.period = 1.0 / rate
+        self.period = 1.0 / hand.rate
         self.durations: list[float] = []
         self.statuses: list[int] = []
         self.trips: dict[int, float] = {}
@@ -230,7 +291,7 @@ class Loop:
             hand.step(self._answer[COMMANDS : COMMANDS + len(hand.limits)])
             drift = max(drift, hand.drift())
             if not _within(now, FIRST_SILENCE, SILENCE_EVERY, SILENT_FOR):
-                cut = _within(now, FIRST_CUT, CUT_EVERY, CUT_FOR)
+                cut = _within(now, FIRST_CUT, CUT_EVERY * (1 + hand.errors), CUT_FOR)
                 self._send(hand.state((cut - 1) % fingers if cut else -1))
             if time.perf_counter() > due:  # a busy machine delays the simulated hand
                 due = time.perf_counter() + 0.5 * self.period

@@ -507,7 +507,9 @@ def test_wrong_arguments_are_named(programs, tmp_path):
 def test_it_holds_in_real_time(language, seconds, programs):
     """With contacts that are cut and given back and messages that stop; its speed depends on the
     load of the machine."""
-    loop = hand_loop.measure("allegro", 500, seconds, language, programs / "hand_controller")
+    loop = hand_loop.measure(
+        hand_loop.SimulatedHand("allegro", 500), seconds, language, programs / "hand_controller"
+    )
     counts = loop.counts
     done = dict(zip(STATUSES, np.bincount(loop.statuses, minlength=len(STATUSES)), strict=True))
     assert counts["held"], counts
