@@ -60,6 +60,8 @@ JOINT_DELAY, DELAY = 0.002, 0.010
 FRICTION_ERROR, NOISE, NOISE_TIME = 0.25, 0.05, 0.004
 """Errors of the friction that the controller is told and of delivered torques, and the time for which
 a draw of these stays [s], in a run with errors."""
+CAREFUL = {"friction_margin": 0.6, "preload": 1.0}
+"""Settings of the controller in a run with errors."""
 FIRST_SILENCE, SILENCE_EVERY, SILENT_FOR = 0.7, 1.2, 0.04
 """Time when messages stop, long enough to coast, never while contacts are cut [s]."""
 SENSOR_AGE = 0.001
@@ -129,22 +131,23 @@ def measure(
     Raises:
         SimulationError: the controller failed.
     """
-    rate = hand.rate
     mine, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     process: Any = None
     try:
         with tempfile.TemporaryDirectory() as scratch, other:
             folder = Path(scratch)
             if language == "python":
-                args = other, hand.hand, float(rate), hand.told
+                args = other, hand.hand, hand.settings
                 spawn = multiprocessing.get_context("spawn")
                 process = spawn.Process(target=serve, args=args, daemon=True)
                 process.start()
             else:
                 file = hand.scene.kinematics.export(folder / "hand")
                 channel = other.fileno()
-                friction = f"{hand.told:.17g}"
-                words = [program or build(folder), str(channel), file, str(rate), friction]
+                told = hand.settings
+                numbers = told.rate, told.friction, told.friction_margin, told.preload
+                words = [program or build(folder), str(channel), str(file)]
+                words += [f"{number:.17g}" for number in numbers]
                 process = subprocess.Popen(words, pass_fds=[channel])
             other.close()
             loop = Loop(hand, mine)
@@ -170,7 +173,8 @@ class SimulatedHand:
         errors: see `HandLoopSettings`.
 
     Attributes:
-        told: the friction that the controller is told.
+        settings: what the controller is told of friction, and its margin: the default one, or with
+            errors one for a friction that is known to 25 %, and preloads for late wrenches.
     """
 
     def __init__(self, name: str, rate: int, errors: bool = False) -> None:
@@ -185,7 +189,9 @@ class SimulatedHand:
         self.friction = scene.config.object.friction * self.hand.tip_friction
         self.body = critically_damped(scene.config.object, *BANDWIDTH)
         self.target = resting_target(1)[0]
-        self.told = self.friction * (1.0 + FRICTION_ERROR * errors)
+        usual = HandControllerSettings(rate=rate, friction=self.friction)
+        wrong = {"friction": self.friction * (1.0 + FRICTION_ERROR), **CAREFUL}
+        self.settings = usual.replaced(wrong if errors else {})
         self._rng = np.random.default_rng(0)
         self._noise = np.ones(len(self.limits))
         self._steps = 0
@@ -376,12 +382,11 @@ def build(folder: Path) -> Path:
     return target / "hand_controller"
 
 
-def serve(channel: socket.socket, hand: HandDescription, rate: float, friction: float) -> None:
+def serve(channel: socket.socket, hand: HandDescription, settings: HandControllerSettings) -> None:
     """Serve the controller in Python as `main` of the example serves it in C++."""
     limits = hand.torque_limits
     table = np.outer(limits, [-1.0, 1.0])
     units = np.tile([-UNITS, UNITS], (len(limits), 1))
-    settings = HandControllerSettings(rate=rate, friction=friction)
     controller = HandController()
     controller.configure(hand, settings, Calibration(table, units))
     state = controller.new_state()
@@ -393,7 +398,7 @@ def serve(channel: socket.socket, hand: HandDescription, rate: float, friction: 
     gc.freeze()
     gc.disable()  # there are no reference cycles
     while True:
-        select.select([channel], [], [], 1.5 / rate if heard else None)
+        select.select([channel], [], [], 1.5 / settings.rate if heard else None)
         newest = b""
         try:
             while message := channel.recv(1 << 16):  # the newest counts
@@ -414,7 +419,7 @@ def serve(channel: socket.socket, hand: HandDescription, rate: float, friction: 
         if controller.status == "inactive":
             with suppress(InvalidInputError):  # broken numbers: the next message
                 controller.activate(state)
-            last = now - 1.0 / rate
+            last = now - 1.0 / settings.rate
         commands = np.asarray(controller.update(state, now - last))
         last = now
         updates += 1

@@ -496,7 +496,7 @@ def test_it_answers_the_same_in_cpp_and_allocates_nothing(hand, programs, tmp_pa
 def test_wrong_arguments_are_named(programs, tmp_path):
     for words, told in (
         ([], "usage"),
-        (["9", tmp_path / "none", "1000", "0.5"], "HandKinematics.export writes one"),
+        (["9", tmp_path / "none", "1000", "0.5", "1", "0"], "HandKinematics.export writes one"),
     ):
         done = run(programs / "hand_controller", *words)
         assert (done.returncode, told in done.stderr, len(done.stderr.splitlines())) == (2, True, 1)

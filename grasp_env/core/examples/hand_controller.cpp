@@ -1,8 +1,8 @@
 // Runs `grasp::HandController` for a hand in another process: `hand_controller FD HAND_FILE RATE
-// FRICTION` answers messages over an inherited socket (AF_UNIX, SOCK_SEQPACKET) until it is closed.
-// Each message is a row of doubles. In: number, `HandState::numbers()`. Out: number of the newest
-// state, messages received, updates, duration of this update [s], late, over_budget, status;
-// commands; torques.
+// FRICTION MARGIN PRELOAD` answers messages over an inherited socket (AF_UNIX, SOCK_SEQPACKET)
+// until it is closed. Each message is a row of doubles. In: number, `HandState::numbers()`. Out:
+// number of the newest state, messages received, updates, duration of this update [s], late,
+// over_budget, status; commands; torques.
 #include <grasp/hand/hand_controller.hpp>
 #include <grasp/hand/tree_file.hpp>
 
@@ -11,8 +11,8 @@
 #include <sys/socket.h>
 
 int main(int count, char** arguments) try {
-  if (count != 5) {
-    std::fprintf(stderr, "usage: hand_controller FD HAND_FILE RATE FRICTION\n");
+  if (count != 7) {
+    std::fprintf(stderr, "usage: hand_controller FD HAND_FILE RATE FRICTION MARGIN PRELOAD\n");
     return 2;
   }
   const int channel = std::atoi(arguments[1]);
@@ -20,6 +20,8 @@ int main(int count, char** arguments) try {
   grasp::HandControllerSettings settings;
   settings.rate = std::atof(arguments[3]);
   settings.friction = std::atof(arguments[4]);
+  settings.friction_margin = std::atof(arguments[5]);
+  settings.preload = std::atof(arguments[6]);
   grasp::Calibration calibration;  // whole numbers from -240 to 240
   for (const grasp::Link& link : hand->links) {
     calibration.torques.push_back({-link.torque_limit, link.torque_limit});

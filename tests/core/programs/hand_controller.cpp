@@ -1,4 +1,4 @@
-// For test_hand_controller.py. `hand_controller FD HAND_FILE RATE FRICTION` is the example itself.
+// For test_hand_controller.py. `hand_controller` with the arguments of the example is that itself.
 // `hand_controller HAND_FILE FRICTION` reads doubles: the home posture, the points of a
 // calibration's tables, torques and units of each joint, then rows of a period and a state; period
 // 0 deactivates, a negative one activates. It writes a row for each: status, late, commands,
