@@ -33,6 +33,7 @@ from matplotlib.figure import Figure
 from benchmarks.benchmark import Benchmark, tick
 from grasp_env.control import Calibration, HandController, HandControllerSettings, HandState
 from grasp_env.control.loop import critically_damped
+from grasp_env.control.recording import STATUSES
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.errors import InvalidInputError, SimulationError
 from grasp_env.inputs.arguments import Array
@@ -58,7 +59,7 @@ PULL = 3.0
 JOINT_DELAY, DELAY = 0.002, 0.010
 """Delays of joints, and of contacts and object, in a run with errors [s]."""
 FRICTION_ERROR, NOISE, NOISE_TIME = 0.25, 0.05, 0.004
-"""Errors of the friction that the controller is told and of delivered torques, and the time for which
+"""Relative errors of the controller's friction and of delivered torques, and the time for which
 a draw of these stays [s], in a run with errors."""
 CAREFUL = {"friction_margin": 0.6, "preload": 1.0}
 """Settings of the controller in a run with errors."""
@@ -68,17 +69,6 @@ SENSOR_AGE = 0.001
 """Age of joints, contacts and wrench when they are sent [s]."""
 NUMBER, HEARD, UPDATES, DURATION, LATE, OVER_BUDGET, STATUS, COMMANDS = range(8)
 """Indices of an answer."""
-STATUSES = (
-    "inactive",
-    "holding",
-    "marginal",
-    "overloaded",
-    "pivoting",
-    "slipping",
-    "coasting",
-    "released",
-)
-"""The statuses of a controller, in the order of their numbers in C++."""
 HELD = 5.0
 """Largest drift of a held object [mm]."""
 UPDATE, TRIP, WHOLE = "update", "round trip", "run"
@@ -96,8 +86,8 @@ class HandLoopSettings:
         rate: rate of the hand's messages and of the controller [Hz]; a divisor of 1000.
         seconds: simulated and real time.
         language: languages of the controller, one after another.
-        errors: if True, joints, contacts and object are measured late, the controller is told too
-            much friction, torques are noisy, and cut fingers are pulled off the object.
+        errors: if True, joints, contacts and object are measured late, the controller assumes
+            too much friction, torques are noisy, and cut fingers are pulled off the object.
     """
 
     hand: Literal["allegro", "leap"] = "allegro"
@@ -173,7 +163,7 @@ class SimulatedHand:
         errors: see `HandLoopSettings`.
 
     Attributes:
-        settings: what the controller is told of friction, and its margin: the default one, or with
+        settings: friction and margin of the controller: the default margin, or with
             errors one for a friction that is known to 25 %, and preloads for late wrenches.
     """
 

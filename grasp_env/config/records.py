@@ -220,10 +220,9 @@ class ControllerSettings(Settings):
         4.0, real(NOT_NEGATIVE), "Damping of each tip under `pd`.", unit="N s/m"
     )
 
-    @property
-    def noise_ticks(self) -> int:
-        """Number of control ticks for which a draw of the torque noise stays."""
-        return math.ceil(self.noise_time * self.rate - 1e-9)
+    def ticks(self, time: float) -> int:
+        """Return a time [s] in whole control ticks, rounded up."""
+        return math.ceil(time * self.rate - 1e-9)
 
 
 @dataclass(frozen=True)

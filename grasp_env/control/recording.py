@@ -22,16 +22,7 @@ from grasp_env.inputs.extras import need
 from grasp_env.inputs.files import WEIGHTS, as_path, parsed, replacing
 
 KIND = "grasp hand recording 1"
-STATUSES = (
-    "inactive",
-    "holding",
-    "marginal",
-    "overloaded",
-    "pivoting",
-    "slipping",
-    "coasting",
-    "released",
-)
+STATUSES: tuple[str, ...] = core.HandController.STATUSES
 """Statuses of a controller, by their number in the column "status"."""
 UPDATE, ACTIVATE, DEACTIVATE, TAKE_HOLD, FOREIGN = range(5)
 """Numbers in the column "event": `HandEvent` of recording.hpp."""

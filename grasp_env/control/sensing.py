@@ -28,16 +28,12 @@ def sensor_settings(config: EnvConfig) -> core.SensorSettings:
 
 def late_ticks(config: EnvConfig) -> int:
     """Return the delay of contacts and pose in whole control ticks."""
-    return _ticks(config.sensors.delay, config)
+    return config.controller.ticks(config.sensors.delay)
 
 
 def joint_ticks(config: EnvConfig) -> int:
     """Return the delay of the joints in whole control ticks."""
-    return _ticks(config.sensors.joint_delay, config)
-
-
-def _ticks(time: float, config: EnvConfig) -> int:
-    return math.ceil(time * config.controller.rate - 1e-9)
+    return config.controller.ticks(config.sensors.joint_delay)
 
 
 def keep_factor(time: float, tick: float) -> float:

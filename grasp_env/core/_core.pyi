@@ -1097,6 +1097,8 @@ class HandController:
 
     def __init__(self) -> None: ...
 
+    STATUSES: tuple = ...
+
     def configure(self, hand: Tree, settings: HandControllerSettings, calibration: Calibration, home: Sequence[float], optimizer: object | None = None) -> None:
         """
         Make all objects of an update. home: (M,) posture of the gains. optimizer: the `ForceOptimizer` of agents' steps

@@ -322,7 +322,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         self._loop.reset(self.np_random)
         noise = np.random.default_rng(int(self.np_random.integers(2**63)))
         self._motor_noise = NoiseRows(noise, len(self._torque_limits))
-        self._noise_ticks = episode.controller.noise_ticks
+        self._noise_ticks = episode.controller.ticks(episode.controller.noise_time)
         self._tick, self._time_without_closure = 0, 0.0
         self._failure, self._ended, self._started = "", False, True
         self._plan_acts = (

@@ -118,14 +118,11 @@ Arrays arrays(nb::handle self) {
   named["positions"] = part(self, POSITIONS, c.state());
   named["normals"] = part(self, NORMALS, c.state());
   named["torques"] = view(self, c.torques, {joints});
-  named["commands"] = view(self, c.commands, {joints});
   named["preload"] = view(self, forces.preload, {fingers});
   named["springs"] = view(self, c.spring_torques, {joints});
   named["force"] = view(self, c.force, {fingers, 3});
   named["optimal"] = view(self, forces.force, {fingers, 3});
-  named["torsion"] = view(self, forces.torsion, {fingers});
   named["frames"] = view(self, const_cast<std::vector<double>&>(c.model().frames), {fingers, 3, 3});
-  named["depths"] = view(self, springs.depths, {fingers});
   named["goals"] = View(&springs.goals.data()->u, {fingers, 3}, self);
   named["inwards"] = View(&springs.inwards.data()->u, {fingers, 3}, self);
   named["solution"] = view(self, forces.solution, {forces.solution.size()});
@@ -227,10 +224,12 @@ void bind_hand_controller(nb::module_& m) {
           },
           "Return a copy of the rows.")
       .def("write", &HandRecording::write, "path"_a, "Write CSV; the file appears when complete.");
-  nb::class_<HandController>(m, "HandController",
-                             "The controller of a torque-controlled hand: see "
-                             "hand_controller.hpp.")
-      .def(nb::init<>())
+  nb::list statuses;
+  for (const char* status : HandController::STATUSES) statuses.append(status);
+  nb::class_<HandController> controller(
+      m, "HandController", "The controller of a torque-controlled hand: see hand_controller.hpp.");
+  controller.attr("STATUSES") = nb::tuple(statuses);
+  controller.def(nb::init<>())
       .def("configure", &configure, "hand"_a, "settings"_a, "calibration"_a, "home"_a,
            "optimizer"_a.none() = nb::none(),
            "Make all objects of an update. home: (M,) posture of the gains. optimizer: the "

@@ -135,7 +135,6 @@ class GripForces {
   }
   // True if the motors cannot give what balances within the margin.
   bool exceeds_limits() const { return balance == Balance::overloaded; }
-  Record last() const { return Record(const_cast<double*>(last_row_.data())); }
 
  private:
   // fraction of the torque limits: below it, the next update solves without them

@@ -22,7 +22,7 @@ class SimulatedHand {
   const std::shared_ptr<HandController> controller;
   const Body body;  // the model of the object in the feedback on its pose
   Sensors sensors;
-  HandState state;  // what the controller is told
+  HandState state;  // what the controller gets
 
   // method: its contacts are those of all fingers.
   SimulatedHand(std::shared_ptr<Scene> viewed, std::shared_ptr<HandController> controls,
