@@ -11,7 +11,7 @@ EDITABLE := $(PIP) --no-build-isolation -C build-dir=build/core -e
 
 # MB on disk and to download: the solver with what builds it, and what each extra adds. tests/test_installs.py measures them.
 SIZES := bare=343/87 cli=17/2 sim=383/119 mujoco=102/26 xacro=15/2 live=443/132 layer=905/201 train=1511/370 report=209/39 \
-  all=1664/408 mend=2/1 parquet=171/47 ray=286/90 video=204/77 cvxpy=242/67 bench=46/14 docs=128/31 dev=359/98
+  all=1664/408 mend=2/1 ray=286/90 video=204/77 cvxpy=242/67 bench=46/14 docs=128/31 dev=359/98
 IN_ALL := cli sim mujoco xacro live layer train report
 comma := ,
 EXTRAS := all,bench,dev,docs,mend$(if $(filter slow,$(MAKECMDGOALS)),$(comma)ray)

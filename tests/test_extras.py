@@ -59,7 +59,7 @@ ENGINE, OTHER_PYTHONS = (
 )
 """Engine of the extra `sim` on this CPython, and the marker of the engine on others."""
 OTHER_MACHINES = f"platform_machine {'==' if EXTRAS['sim'].count('coacd') else '!='} 'aarch64'"
-NOT_IN_ALL = {"cvxpy", "mend", "parquet", "ray", "video"}
+NOT_IN_ALL = {"cvxpy", "mend", "ray", "video"}
 """Large ones that few need, and MeshFix, whose licence is the GPL."""
 HEAVY = tuple(name for extra in ("sim", "train", "report", "video") for name in EXTRAS[extra])
 

@@ -18,7 +18,6 @@ import numpy as np
 from grasp_env import core
 from grasp_env.errors import InvalidInputError, UnknownNameError, shown
 from grasp_env.inputs.arguments import Array, as_array, as_number
-from grasp_env.inputs.extras import need
 from grasp_env.inputs.files import WEIGHTS, as_path, parsed, replacing
 
 KIND = "grasp hand recording 1"
@@ -39,8 +38,6 @@ _SINGLE = ("event", "hold", "period", "status", "duration")
 _VECTORS = ("positions", "normals", "force")
 _FORM = "a complete recording of a hand's controller"
 _HINT = "; copy the file again, and change nothing in it: HandController.record and Recording.save write such files"
-_MOST = WEIGHTS // 8
-"""Largest number of numbers in a recording."""
 _NUMBERS, _LIMIT, _DRIVER = 33, 22, 32
 """Of a joint in a hand file (tree_file.hpp): its numbers, and which are torque limit and driver."""
 
@@ -165,54 +162,38 @@ class Recording:
         """Read a file of `save` or of the C++ controller. Nothing in it is executed.
 
         Args:
-            path: .csv or .parquet.
+            path: a .csv file.
 
         Raises:
             InvalidInputError: it is no complete recording, or cannot be read.
         """
         file = as_path(path, InvalidInputError, "the file of a recording")
-        read = {".csv": _from_csv, ".parquet": _from_parquet}[_suffix(file)]
         name = f"recording {file}"
-        parts = parsed(file, read, InvalidInputError, name, _FORM, _HINT, WEIGHTS)
+        parts = parsed(_csv(file), _from_csv, InvalidInputError, name, _FORM, _HINT, WEIGHTS)
         try:
             return cls(*parts)
         except InvalidInputError as error:
             raise InvalidInputError(f"{name}: {error}") from None
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write a file, whole or not at all, in the form that its suffix names; return its path.
+        """Write a file, whole or not at all, as the C++ controller writes it; return its path.
 
         Args:
-            path: .csv, as the controller writes it: a comment with the header, the columns, the
-                rows, with 17 digits; or .parquet (extra "parquet"), with the header in the file's metadata.
+            path: a .csv file: a comment with the header, the columns, the rows, with 17 digits.
 
         Raises:
             InvalidInputError: another suffix.
             OSError: the file cannot be written.
         """
         file = as_path(path, InvalidInputError, "the file of a recording")
-        write = {".csv": self._to_csv, ".parquet": self._to_parquet}[_suffix(file)]
-        with replacing(file) as hidden:
-            write(hidden)
-        return file
-
-    def _to_csv(self, path: Path) -> None:
         line = ",".join(["%.17g"] * len(self.columns)) + "\n"
-        with path.open("w", encoding="utf-8", newline="\n") as file:
-            file.write(f"# {self.text}\n{','.join(self.columns)}\n")
-            file.writelines(line % tuple(row) for row in self.rows)
-
-    def _to_parquet(self, path: Path) -> None:
-        need("parquet")
-        import pyarrow
-        from pyarrow import parquet
-
-        table = pyarrow.table(
-            [np.ascontiguousarray(column) for column in self.rows.T],
-            names=list(self.columns),
-            metadata={KIND: self.text},
-        )
-        parquet.write_table(table, path, compression="zstd")
+        with (
+            replacing(_csv(file)) as hidden,
+            hidden.open("w", encoding="utf-8", newline="\n") as text,
+        ):
+            text.write(f"# {self.text}\n{','.join(self.columns)}\n")
+            text.writelines(line % tuple(row) for row in self.rows)
+        return file
 
     def __getitem__(self, name: str) -> Array:
         if name not in self._parts:
@@ -479,12 +460,10 @@ def _by_name(columns: tuple[str, ...]) -> Iterator[tuple[str, slice]]:
 # --- files
 
 
-def _suffix(path: Path) -> str:
-    if (suffix := path.suffix.lower()) not in (".csv", ".parquet"):
-        raise InvalidInputError(
-            f"the file of a recording must end with .csv or .parquet, got {str(path)!r}"
-        )
-    return suffix
+def _csv(path: Path) -> Path:
+    if path.suffix.lower() != ".csv":
+        raise InvalidInputError(f"the file of a recording must end with .csv, got {str(path)!r}")
+    return path
 
 
 def _from_csv(blob: bytes) -> tuple[tuple[str, ...], Array, str]:
@@ -498,22 +477,3 @@ def _from_csv(blob: bytes) -> tuple[tuple[str, ...], Array, str]:
         raise ValueError("it is cut: no end of a line follows its last number")
     rows = np.loadtxt(io.BytesIO(body), delimiter=",", comments=None, ndmin=2, encoding="utf-8")
     return columns, rows, text[2:].decode().rstrip("\r")
-
-
-def _from_parquet(blob: bytes) -> tuple[tuple[str, ...], Array, str]:
-    need("parquet")
-    from pyarrow import parquet
-
-    with parquet.ParquetFile(io.BytesIO(blob)) as file:
-        size = file.metadata.num_rows * file.metadata.num_columns
-        if size > _MOST:
-            raise ValueError(f"it holds {size} numbers, and {_MOST} are allowed")
-        text = (file.schema_arrow.metadata or {}).get(KIND.encode())
-        if text is None:
-            raise ValueError(f"its metadata has no entry {KIND!r}")
-        table = file.read()
-    types = {str(column.type) for column in table.columns}
-    if types != {"double"} or any(column.null_count for column in table.columns):
-        raise ValueError(f"its columns must be float64 without gaps, got {shown(types)}")
-    rows = np.column_stack([column.to_numpy() for column in table.columns])
-    return tuple(table.column_names), rows, text.decode()

@@ -37,7 +37,6 @@ EXTRAS = {
     "mend": ("pymeshfix",),
     "xacro": ("xacrodoc",),
     "live": ("viser",),
-    "parquet": ("pyarrow",),
     "layer": ("torch",),
     "train": ("stable_baselines3", "tensorboard", "torch"),
     "report": ("jinja2", "matplotlib", "pandas"),

@@ -9,7 +9,6 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -43,15 +42,11 @@ def mesh(path: Path) -> Any:
     return ObjectDescription("mesh", (1.0,), mesh=str(link))
 
 
-def recording(suffix: str) -> Callable[[Path], Any]:
+def recording(path: Path) -> Any:
     """The recording that is that file, under a name that a recording may have."""
-
-    def load(path: Path) -> Any:
-        link = path.parent / f"{path.name}.{suffix}"
-        link.symlink_to(path)
-        return Recording.load(link)
-
-    return load
+    link = path.parent / f"{path.name}.csv"
+    link.symlink_to(path)
+    return Recording.load(link)
 
 
 READERS: dict[str, Callable[[Path], Any]] = {
@@ -61,8 +56,7 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "agent": agent,
     "run": lambda path: Run(path.parent).read_json(path.name),
     "table": table.read,
-    "recording": recording("csv"),
-    **({"parquet": recording("parquet")} if find_spec("pyarrow") else {}),
+    "recording": recording,
 }
 FILES: dict[str, Callable[[Path], Any]] = {
     "missing": lambda path: None,

@@ -113,11 +113,11 @@ def test_errors_are_one_line_and_nothing_is_written(recording, tmp_path, capsys)
     (tmp_path / "other.csv").write_text("a,b\n1,2\n")
     for words, message in {
         f"{tmp_path}/none.csv": "No such file",
-        f"{tmp_path}/run.txt": "must end with .csv or .parquet",
+        f"{tmp_path}/run.txt": "must end with .csv, got",
         f"{tmp_path}/other.csv": "is not a complete recording",
         f"{path} --save {tmp_path}/a.pdf": "--save must end with .png",
         f"{path} --output {path}": "--output must be another file",
-        f"{path} --output {tmp_path}/again.txt": "must end with .csv or .parquet",
+        f"{path} --output {tmp_path}/again.txt": "must end with .csv, got",
         f"{path} --save /nowhere/a.png": "/nowhere",
     }.items():
         code, _, err = replayed(words, capsys)

@@ -36,9 +36,9 @@ class Replay:
     Exit code 0: all that the controller did comes out bit for bit; 1: not.
 
     Attributes:
-        recording: a .csv or .parquet file of HandController.record.
+        recording: a .csv file of HandController.record.
         save: .png for the picture of the recording.
-        output: .csv or .parquet for what the controller does now.
+        output: .csv for what the controller does now.
     """
 
     recording: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
