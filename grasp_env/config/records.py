@@ -159,7 +159,8 @@ class ControllerSettings(Settings):
     friction_margin: float = setting(
         0.85,
         real(FRICTION_MARGIN),
-        "Share of the assumed friction that forces may use, so that errors of the friction cause no slip: `Margin.friction`.",
+        "Share of the assumed friction that forces may use, so that errors of the friction cause no slip: `Margin.friction`. Contacts "
+        "are planned for this share of the friction, and at most for 0.85 of it.",
     )
     preload: float = setting(
         0.0,

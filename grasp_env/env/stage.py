@@ -15,7 +15,7 @@ from grasp_env.errors import GraspError, SimulationError
 from grasp_env.sim import HandKinematics, ObjectDescription, Scene
 from grasp_env.sim.config import START_CLEARANCE, SceneConfig
 from grasp_env.sim.engine import engine_of
-from grasp_env.sim.grasping import place_hand, plan_grasp
+from grasp_env.sim.grasping import FRICTION_MARGIN, place_hand, plan_grasp
 from grasp_env.task import Move
 
 PLACINGS = 3
@@ -43,6 +43,7 @@ class Stage:
         self.config, self._loop = config, loop
         self._given = config.hand_description
         self._fixed = self._given.placed or bool(config.contact_points)
+        self._margin = min(FRICTION_MARGIN, config.controller.friction_margin)
         self._visible = gui, visuals
         self._nominal: HandKinematics | None = None
         self._scene: Scene | None = None
@@ -132,7 +133,14 @@ class Stage:
         side = self.config.approach
         for seed in range(0 if self._fixed else PLACINGS):
             yield lambda seed=seed: HandKinematics(
-                place_hand(hand, item, seed=seed, least=least, approach=side)
+                place_hand(
+                    hand,
+                    item,
+                    seed=seed,
+                    least=least,
+                    approach=side,
+                    friction_margin=self._margin,
+                )
             )
 
     def _scene_config(self, item: ObjectDescription) -> SceneConfig:
@@ -140,7 +148,7 @@ class Stage:
         engine = engine_of(config.engine)
         points, start = config.contact_points, ()
         if not points:
-            plan = plan_grasp(item, self.kinematics)
+            plan = plan_grasp(item, self.kinematics, None, self._margin)
             points = tuple((x, y, z) for x, y, z in plan.points.tolist())
             start = tuple(plan.start.tolist())
         return SceneConfig(

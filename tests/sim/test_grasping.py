@@ -13,7 +13,7 @@ from hands import gripper, load_hand
 from numpy.testing import assert_allclose, assert_array_equal
 
 from grasp_env import core
-from grasp_env.errors import InvalidInputError
+from grasp_env.errors import InfeasibleWrenchError, InvalidInputError
 from grasp_env.force import ForceOptimizer
 from grasp_env.grasp import Grasp
 from grasp_env.grasp.presets import paper_cuboid
@@ -83,15 +83,51 @@ def check(hand: HandDescription, item: ObjectDescription) -> GraspPlan:
     return plan
 
 
-def worst(item: ObjectDescription, plan: GraspPlan) -> float:
-    """Largest least normal force for weight with a push or turn [N]; raises if there is none."""
-    grasp = Grasp.from_contacts(plan.points, plan.normals, FRICTION_MARGIN * item.friction)
+def worst(
+    item: ObjectDescription, plan: GraspPlan, friction_margin: float = FRICTION_MARGIN
+) -> float:
+    """Largest least normal force for weight with a push or turn [N]; infinite if there is none."""
+    grasp = Grasp.from_contacts(plan.points, plan.normals, friction_margin * item.friction)
     optimizer = ForceOptimizer(grasp, method="conic")
     steps = np.diag([2.0, 2.0, 2.0, 0.06, 0.06, 0.06])
     weight = np.array([0.0, -9.81 * item.mass, 0.0, 0.0, 0.0, 0.0])
-    return max(
-        optimizer.solve(weight + sign * step).objective for step in steps for sign in (1.0, -1.0)
-    )
+    try:
+        return max(
+            optimizer.solve(weight + sign * step).objective
+            for step in steps
+            for sign in (1.0, -1.0)
+        )
+    except InfeasibleWrenchError:
+        return np.inf
+
+
+def test_contacts_planned_for_a_narrow_margin_hold_within_it():
+    """Those planned for the default share of the friction often do not, or need more force."""
+    hand = HandKinematics(HandDescription.four_finger())
+    rng = np.random.default_rng(7)
+    forces = []
+    for diameter in rng.uniform(0.06, 0.11, 12):
+        item = ObjectDescription("sphere", (diameter,), friction=0.4)
+        default, narrow = plan_grasp(item, hand), plan_grasp(item, hand, friction_margin=0.4)
+        forces.append([worst(item, plan, 0.4) for plan in (default, narrow)])
+    of_default, of_narrow = np.array(forces).T
+    assert np.isinf(of_default).sum() >= 2
+    assert (of_narrow < 25.0).all()
+
+
+@pytest.mark.parametrize("margin", [0.0, 1.01, np.nan, "half"])
+def test_a_margin_is_a_share(margin):
+    item, hand = ObjectDescription("sphere"), HandDescription.four_finger()
+    with pytest.raises(InvalidInputError, match="friction_margin"):
+        plan_grasp(item, HandKinematics(hand), friction_margin=margin)
+    with pytest.raises(InvalidInputError, match="friction_margin"):
+        place_hand(hand, item, friction_margin=margin)
+
+
+def test_the_error_names_the_margin():
+    item = ObjectDescription("sphere", (0.08,), friction=0.001)
+    with pytest.raises(InvalidInputError, match=r"with 0\.5 of its friction 0\.001"):
+        plan_grasp(item, HandKinematics(HandDescription.four_finger()), friction_margin=0.5)
 
 
 @pytest.mark.parametrize("name", ["four_finger", "three_finger", "five_finger"])
@@ -282,7 +318,7 @@ def test_idle_fingers_make_a_grasp_worse():
     idle = replace(hand, fingertips=(*hand.fingertips, more))
     candidate = _Candidate((0, 1, 2, 3), np.array(hand.home), np.eye(3), np.zeros(3))
     one, other = (
-        _Trials(each, ObjectDescription("sphere", (0.09,))).rating(candidate)
+        _Trials(each, ObjectDescription("sphere", (0.09,)), FRICTION_MARGIN).rating(candidate)
         for each in (hand, idle)
     )
     assert other == pytest.approx(1.3 * one)

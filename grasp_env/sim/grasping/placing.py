@@ -13,10 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from grasp_env import core
 from grasp_env.errors import InvalidInputError
-from grasp_env.inputs.arguments import Array, whole
+from grasp_env.inputs import ranges
+from grasp_env.inputs.arguments import Array, number, whole
 from grasp_env.sim.grasping.approach import Approach, as_approach, palm_direction
 from grasp_env.sim.grasping.pads import PATCH_RADIUS, SOFT_PAIR, torsion_of, with_protruding_tips
-from grasp_env.sim.grasping.points import GraspPlan, GraspSearch, plan_grasp
+from grasp_env.sim.grasping.points import FRICTION_MARGIN, GraspPlan, GraspSearch, plan_grasp
 from grasp_env.sim.grasping.sites import Site, find_sites, one_motor
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.frames import roll_pitch_yaw
@@ -49,6 +50,7 @@ def place_hand(
     seed: int = 0,
     least: int | None = None,
     approach: ArrayLike | str | None = None,
+    friction_margin: float = FRICTION_MARGIN,
 ) -> HandDescription:
     """Choose the palm pose, rest posture and fingertips with which a hand holds the object well.
 
@@ -64,6 +66,7 @@ def place_hand(
         least: Smallest number of fingers that touch; None for three, or two with soft contacts.
         approach: Direction from the palm to the object, world frame, within 30 degrees: "down",
             "up", "side", or a vector (3,). None for any.
+        friction_margin: Share of the friction that forces may use, 0.01 to 1.
 
     Returns:
         A hand for which `plan_grasp` finds a grasp. The result is deterministic and cached.
@@ -88,7 +91,8 @@ def place_hand(
             f"no palm pose was found in which the hand {hand.name!r} grasps the {item.shape}: two fingers hold with soft contacts only. "
             f"Give the object torsional_friction [m], {torsion_of(item.friction):.2g} with soft pads that touch within {1e3 * PATCH_RADIUS:g} mm"
         )
-    return _placed(hand, item, whole(seed, "seed", 0), least, direction)
+    margin = number(friction_margin, "friction_margin", ranges.FRICTION_MARGIN)
+    return _placed(hand, item, whole(seed, "seed", 0), least, direction, margin)
 
 
 class _Candidate(NamedTuple):
@@ -102,10 +106,15 @@ class _Candidate(NamedTuple):
 
 @lru_cache(maxsize=64)
 def _placed(
-    hand: HandDescription, item: ObjectDescription, seed: int, least: int, approach: Approach | None
+    hand: HandDescription,
+    item: ObjectDescription,
+    seed: int,
+    least: int,
+    approach: Approach | None,
+    margin: float,
 ) -> HandDescription:
     rng = np.random.default_rng(seed)
-    trials = _Trials(hand, item)
+    trials = _Trials(hand, item, margin)
     hand = trials.hand
     places = misdirected = 0
     faced = np.zeros((hand.finger_count,) * 2, dtype=bool)
@@ -138,7 +147,7 @@ def _placed(
                     break
                 placed = trials.placed(candidates[index])
                 try:
-                    plan = plan_grasp(item, HandKinematics(placed))
+                    plan = plan_grasp(item, HandKinematics(placed), None, margin)
                 except InvalidInputError:
                     continue
                 best = ratings[index], plan.force, placed
@@ -198,9 +207,10 @@ def _listed(names: list[str], between: str = ", ", kind: str = "") -> str:
 class _Trials:
     """Trial grasps of one object by one hand; counts rejected candidates in `faults`, by reason."""
 
-    def __init__(self, hand: HandDescription, item: ObjectDescription) -> None:
+    def __init__(self, hand: HandDescription, item: ObjectDescription, margin: float) -> None:
         self.hand = with_protruding_tips(hand)
         self.item = item
+        self.margin = margin
         self.faults = Counter[str]()
         self._pairs = touching_pairs(hand, at_home=False)
         self._subhands: dict[tuple[int, ...], tuple[HandKinematics, core.HandLimbs]] = {}
@@ -301,4 +311,4 @@ class _Trials:
         moved = limbs.moved(
             candidate.turn.ravel().tolist(), candidate.shift.tolist(), candidate.home
         )
-        return GraspSearch(self.item, moved, kinematics.hand)
+        return GraspSearch(self.item, moved, kinematics.hand, self.margin)

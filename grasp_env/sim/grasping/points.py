@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 from grasp_env import core
 from grasp_env.errors import InvalidInputError
 from grasp_env.grasp.presets import paper_cuboid
-from grasp_env.inputs.arguments import Array, as_array, unit_vectors
+from grasp_env.inputs import ranges
+from grasp_env.inputs.arguments import Array, as_array, number, unit_vectors
 from grasp_env.sim.config import ON_SURFACE, START_CLEARANCE, SceneConfig
 from grasp_env.sim.engine import engine_of
 from grasp_env.sim.hand.description import HandDescription
@@ -20,7 +21,7 @@ from grasp_env.sim.hand.kinematics import HandKinematics
 from grasp_env.sim.hand.limbs import hand_limbs, touching_pairs
 from grasp_env.sim.objects.description import ObjectDescription, sides_text
 
-FRICTION_MARGIN = 0.85  # share of the friction that a grasp may use
+FRICTION_MARGIN = 0.85  # default share of the friction that a grasp may use
 LARGEST_FORCE = 500.0  # largest total normal force of a grasp in the worst case [N]
 _GRAVITY, _PUSH, _TURN = 9.81, 2.0, 0.06  # loads that rate a grasp [m/s^2], [N], [N m]
 _ASIDE = 1e-3  # distance from the contact at which a normal is tested [m]
@@ -82,7 +83,10 @@ class GraspPlan:
 
 
 def grasp_points(
-    item: ObjectDescription, kinematics: HandKinematics, rng: np.random.Generator | None = None
+    item: ObjectDescription,
+    kinematics: HandKinematics,
+    rng: np.random.Generator | None = None,
+    friction_margin: float = FRICTION_MARGIN,
 ) -> tuple[Array, Array]:
     """Return the points [m] and inward unit normals, (N, 3) each, of `plan_grasp`.
 
@@ -92,29 +96,34 @@ def grasp_points(
         >>> bool(np.allclose(points, -0.05 * normals))
         True
     """
-    plan = plan_grasp(item, kinematics, rng)
+    plan = plan_grasp(item, kinematics, rng, friction_margin)
     return plan.points, plan.normals
 
 
 def plan_grasp(
-    item: ObjectDescription, kinematics: HandKinematics, rng: np.random.Generator | None = None
+    item: ObjectDescription,
+    kinematics: HandKinematics,
+    rng: np.random.Generator | None = None,
+    friction_margin: float = FRICTION_MARGIN,
 ) -> GraspPlan:
     """Find the best of some thousand choices of contacts for the hand in its pose.
 
     The fingers reach the contacts from the rest posture, away from edges, with margins to joint
-    limits and between links. With 0.85 of the friction the contacts balance the weight, +-2 N and
-    +-0.06 N m. The best plan has the smallest `GraspPlan.force`. The default cuboid in the
-    four-finger hand keeps the reference grasp.
+    limits and between links. With this share of the friction the contacts balance the weight,
+    +-2 N and +-0.06 N m. The best plan has the smallest `GraspPlan.force`. The default cuboid in
+    the four-finger hand keeps the reference grasp.
 
     Args:
         item: The object; its body frame is the world frame.
         kinematics: The hand.
         rng: Random generator of the candidate contacts; None for a fixed seed.
+        friction_margin: Share of the friction that forces may use, 0.01 to 1.
 
     Raises:
         InvalidInputError: The object is out of reach, too large for the hand, or cannot be held;
             the message counts the reasons.
     """
+    margin = number(friction_margin, "friction_margin", ranges.FRICTION_MARGIN)
     if (
         rng is None
         and item.shape == "cuboid"
@@ -122,7 +131,7 @@ def plan_grasp(
         and kinematics.hand == _four_finger()
     ):
         return _reference_plan(item, kinematics)
-    search = GraspSearch(item, _limbs(kinematics), kinematics.hand)
+    search = GraspSearch(item, limbs_of(kinematics), kinematics.hand, margin)
     plan = search.run(np.random.default_rng(0) if rng is None else rng)
     if plan is None:
         raise InvalidInputError(search.reason())
@@ -199,9 +208,14 @@ class GraspSearch:
     """
 
     def __init__(
-        self, item: ObjectDescription, limbs: core.HandLimbs, hand: HandDescription
+        self,
+        item: ObjectDescription,
+        limbs: core.HandLimbs,
+        hand: HandDescription,
+        friction_margin: float,
     ) -> None:
         self.item, self.limbs, self.hand = item, limbs, hand
+        self.margin = friction_margin
         self.faults = Counter[str]()
         self.short = [0] * hand.finger_count
         self._gap = limbs.palm_gap(item.surface)
@@ -210,8 +224,8 @@ class GraspSearch:
         self.core = core.GraspSearch.make(
             limbs,
             item.surface,
-            friction=FRICTION_MARGIN * item.friction * hand.tip_friction,
-            torsion=FRICTION_MARGIN * item.torsional_friction * hand.tip_friction,
+            friction=self.margin * item.friction * hand.tip_friction,
+            torsion=self.margin * item.torsional_friction * hand.tip_friction,
             length=length,
             space=_SPACE,
             start=START_CLEARANCE,
@@ -259,7 +273,7 @@ class GraspSearch:
             )
         return (
             f"{start}the fingers reach it, but no choice of contacts balances its weight, +-2 N and +-0.06 N m with "
-            f"{FRICTION_MARGIN} of its friction {self.item.friction}; of contacts and choices tried {counts}; raise the friction, "
+            f"{self.margin:g} of its friction {self.item.friction}; of contacts and choices tried {counts}; raise the friction, "
             "or use a hand with more fingers or another palm pose"
         )
 
@@ -304,7 +318,8 @@ def _four_finger() -> HandDescription:
 
 
 @lru_cache(maxsize=8)
-def _limbs(kinematics: HandKinematics) -> core.HandLimbs:
+def limbs_of(kinematics: HandKinematics) -> core.HandLimbs:
+    """Return the limbs of a hand in its pose."""
     hand = kinematics.hand
     return core.HandLimbs.make(
         kinematics.tree, hand_limbs(hand), kinematics.home, touching_pairs(hand)

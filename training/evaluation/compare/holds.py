@@ -10,7 +10,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import cache
 from typing import Any
 
@@ -26,7 +26,7 @@ from grasp_env.inputs.arguments import AllFaults, choice
 from grasp_env.sim import HandKinematics, ObjectDescription
 from grasp_env.sim.engine import class_of, engine_of
 from grasp_env.sim.grasping.pads import with_soft_contacts
-from grasp_env.sim.grasping.points import grasp_points
+from grasp_env.sim.grasping.points import FRICTION_MARGIN, grasp_points
 from grasp_env.sim.hand.description import HANDS, HandDescription
 from training.data.episodes import episode
 from training.evaluation.compare import scenarios, soft_tips
@@ -204,7 +204,7 @@ def trial(
     redrawn = 0
     if random_objects:
         item, points, redrawn = draw_object(
-            seed, config, config.controller.friction_margin if soft else 1.0
+            seed, config, config.controller.friction_margin if soft else FRICTION_MARGIN
         )
         config = config.override(object=item, contact_points=points, randomize=())
     if soft:
@@ -235,14 +235,14 @@ def trial(
 
 
 def draw_object(
-    seed: int, config: EnvConfig, friction_share: float = 1.0
+    seed: int, config: EnvConfig, friction_margin: float = FRICTION_MARGIN
 ) -> tuple[ObjectDescription, np.ndarray, int]:
     """Draw the random object of a seed within reach of the hand, in the ranges of `randomize`.
 
     Return the object, its contact points (N, 3) [m] in the object frame, and the number of objects
     drawn before it without a grasp; none of these depends on controller or engine. A hand without
     a fixed pose, which is placed anew for every object, has no points. The points are those of a
-    grasp with `friction_share` of the friction.
+    grasp with `friction_margin` of the friction.
     """
     rng = np.random.default_rng([seed, 0x0B1EC7])
     kinematics = _kinematics(config.hand)
@@ -252,8 +252,8 @@ def draw_object(
         if not kinematics.hand.placed:
             return item, np.zeros((0, 3)), 0
         try:
-            planned = replace(item, friction=friction_share * item.friction)
-            return item, np.asarray(grasp_points(planned, kinematics)[0]), redrawn
+            points, _ = grasp_points(item, kinematics, None, friction_margin)
+            return item, np.asarray(points), redrawn
         except GraspError:
             continue
     raise SimulationError(f"no grasp was found for any of {_REDRAWS} random objects of seed {seed}")

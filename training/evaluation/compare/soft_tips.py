@@ -98,7 +98,9 @@ def with_load(config: EnvConfig, seed: int) -> EnvConfig:
     item = replace(config.object, torsional_friction=torsion_of(config.object.friction))
     points = np.asarray(config.contact_points)
     if not points.size:
-        points = np.asarray(grasp_points(item, HandKinematics(hand))[0])
+        points = np.asarray(
+            grasp_points(item, HandKinematics(hand), None, config.controller.friction_margin)[0]
+        )
     rng = np.random.default_rng([seed, _WORD])
     axis = points[1:].mean(axis=0) - points[0]
     axis /= np.linalg.norm(axis)
