@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from itertools import product
 
 import numpy as np
 
@@ -12,10 +11,11 @@ from grasp_env.config import EnvConfig
 from grasp_env.control.closing import close_hand, take_over
 from grasp_env.control.loop import ForceLoop
 from grasp_env.errors import GraspError, SimulationError
+from grasp_env.inputs.arguments import warn
 from grasp_env.sim import HandKinematics, ObjectDescription, Scene
 from grasp_env.sim.config import START_CLEARANCE, SceneConfig
 from grasp_env.sim.engine import engine_of
-from grasp_env.sim.grasping import FRICTION_MARGIN, place_hand, plan_grasp
+from grasp_env.sim.grasping import FRICTION_MARGIN, check_motion, place_hand, plan_grasp
 from grasp_env.task import Move
 
 PLACINGS = 3
@@ -92,13 +92,24 @@ class Stage:
         raise SimulationError(f"none of {REDRAWS} random objects could be held; the last: {failed}")
 
     def _hold(self, item: ObjectDescription) -> None:
-        """Let the hand hold an object, from the first pose where it can."""
-        first = self._nominal is None
-        failures = list[GraspError]()
+        """Let the hand hold an object, from the first pose where it can, also along a motion."""
         places = list(self._places(item))
-        moves = isinstance(self.config.task, Move) and not self._fixed
-        # the first grasp that can follow the motion; without one, the first that holds at rest
-        for follows, place in product((True, False) if moves else (False,), places):
+        if isinstance(self.config.task, Move) and not self._fixed:
+            try:
+                return self._hold_from(places, item, follows=True)
+            except GraspError as error:
+                warn(
+                    f"the hand is placed where it holds the object at rest, since no pose was found from which it follows the motion "
+                    f"{self.config.task.motion!r}: {error}"
+                )
+        return self._hold_from(places, item, follows=False)
+
+    def _hold_from(
+        self, places: list[Callable[[], HandKinematics]], item: ObjectDescription, follows: bool
+    ) -> None:
+        first = self._nominal is None
+        failure: GraspError | None = None
+        for place in places:
             try:
                 self.kinematics = place()
                 grasp = self._scene_config(item)
@@ -116,8 +127,9 @@ class Stage:
                     self.scene.keep("settled")
                 return
             except GraspError as error:
-                failures.append(error)
-        raise failures[-1]
+                failure = error
+        assert failure is not None
+        raise failure
 
     def _places(self, item: ObjectDescription) -> Iterator[Callable[[], HandKinematics]]:
         """Yield functions that find the poses of the hand to try for an object."""
@@ -163,20 +175,12 @@ class Stage:
         )
 
     def _follow(self, grasp: SceneConfig) -> None:
-        """Raise a `GraspError` unless the fingers reach their contacts along the task's motion."""
+        """Raise a `GraspError` unless the fingers hold the object along the task's motion."""
         duration = self.config.limits.duration
         assert duration is not None
         times = np.linspace(0.0, duration, POSES)
-        points = np.array(grasp.contact_points)
-        kinematics = self.kinematics
-        radii = np.array([tip.radius for tip in grasp.hand.fingertips])[:, None]
-        tips = points - radii * grasp.contact_normals
-        start = np.array(grasp.start_angles) if grasp.start_angles else None
-        for row in self.config.task.target(times, 1.0 / self.config.controller.rate):
-            axis, w = row[3:6], row[6]
-            across = np.cross(axis, tips)
-            turned = tips + 2.0 * (w * across + np.cross(axis, across))
-            start = kinematics.solve(row[:3] + turned, start)
+        poses = self.config.task.target(times, 1.0 / self.config.controller.rate)[:, :7]
+        check_motion(grasp, self.kinematics, poses)
 
     def _settle(self) -> None:
         self._loop.begin(self.scene)

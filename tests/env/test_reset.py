@@ -11,14 +11,16 @@ import numpy as np
 import pytest
 import trimesh
 from hands import gripper, numbers, scene_alone
+from numpy.testing import assert_array_equal
 
 from grasp_env.config import EnvConfig
 from grasp_env.control.closing import close_hand, take_over
 from grasp_env.env.env import FourFingerGrasp
-from grasp_env.errors import InvalidInputError
-from grasp_env.sim import ObjectDescription, Scene
+from grasp_env.errors import GraspWarning, InvalidInputError
+from grasp_env.sim import HandDescription, HandKinematics, ObjectDescription, Scene, place_hand
 from grasp_env.sim.grasping import plan_grasp
 from grasp_env.sim.objects.description import SHAPES
+from grasp_env.task import Move
 
 ZERO = np.zeros(1, dtype=np.float32)
 OBJECTS: list[dict[str, Any]] = [
@@ -170,3 +172,38 @@ def test_other_objects_may_need_another_place():
     assert env.scene.config.hand != first
     assert env.scene.config.hand.finger_names == first.finger_names
     env.close()
+
+
+def test_contacts_are_planned_within_the_margin():
+    ball = {"shape": "sphere", "size": (0.08,), "friction": 0.4}
+    wide, narrow = (
+        FourFingerGrasp(
+            config=EnvConfig().override(object=ball, **{"controller.friction_margin": margin})
+        ).scene.config.contact_points
+        for margin in (1.0, 0.4)
+    )
+    item = ObjectDescription(**ball)
+    hand = HandKinematics(HandDescription.four_finger())
+    # the planner keeps a reserve also where the controller does not
+    assert_array_equal(wide, plan_grasp(item, hand).points)
+    assert_array_equal(narrow, plan_grasp(item, hand, friction_margin=0.4).points)
+    assert np.abs(np.subtract(wide, narrow)).max() > 0.001
+
+
+def test_a_hand_is_placed_where_it_follows_a_motion():
+    """From the first places a link would touch the cube, or the thumb does not reach it."""
+    cube = {"shape": "cuboid", "size": (0.05, 0.05, 0.05)}
+    env = FourFingerGrasp(hand="leap", object=cube, task=Move("shake"), action_mode="none")
+    assert env.scene.config.hand != place_hand(HandDescription.leap(), ObjectDescription(**cube))
+    env.reset(seed=0)
+    ended = False
+    while not ended:
+        *_, ended, info = env.step(np.zeros(env.action_space.shape, np.float32))
+    assert (info["fault"], info["stray_share"]) == ("", 0.0)
+    env.close()
+
+
+def test_a_motion_that_no_pose_follows_is_told():
+    cube = {"shape": "cuboid", "size": (0.05, 0.05, 0.05)}
+    with pytest.warns(GraspWarning, match="follows the motion 'shake': finger .* cannot reach"):
+        FourFingerGrasp(hand="leap", object=cube, task=Move("shake", size=0.06)).close()

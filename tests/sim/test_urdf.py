@@ -10,11 +10,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from urdf_text import INERTIAL, hand, joint, link, read, robot, small
 
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand.description import HANDS, Fingertip, HandDescription, Mimic
-from grasp_env.sim.hand.frames import Frame, roll_pitch_yaw, rotation_matrix
+from grasp_env.sim.hand.frames import (
+    Frame,
+    quaternion_rotation,
+    roll_pitch_yaw,
+    rotation_matrix,
+)
 from grasp_env.sim.hand.inertia import inertia_matrix, inertia_of
 from grasp_env.sim.hand.kinematics import HandKinematics
 from grasp_env.sim.hand.urdf import hand_urdf
@@ -312,3 +318,9 @@ def test_angles_and_matrices_are_the_same_rotation():
         matrix = rotation_matrix(tuple(angles))
         np.testing.assert_allclose(matrix @ matrix.T, np.eye(3), atol=1e-15)
         np.testing.assert_allclose(rotation_matrix(roll_pitch_yaw(matrix)), matrix, atol=2e-15)
+
+
+def test_a_quaternion_is_the_rotation_of_its_axis_and_angle():
+    for turn in Rotation.random(20, random_state=3):
+        matrix = quaternion_rotation(turn.as_quat())
+        np.testing.assert_allclose(matrix, turn.as_matrix(), atol=2e-15)

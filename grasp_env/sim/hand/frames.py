@@ -25,9 +25,19 @@ def rotation_matrix(angles: Vector3) -> Array:
 
 def axis_rotation(axis: Array, angle: float) -> Array:
     """Return the rotation (3, 3) about a unit axis (3,) by an angle [rad]."""
-    x, y, z = axis
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    cross = _cross(axis)
     return np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross
+
+
+def quaternion_rotation(quaternion: Array) -> Array:
+    """Return the rotation (3, 3) of a unit quaternion (4,): x, y, z, w."""
+    cross = _cross(quaternion[:3])
+    return np.eye(3) + 2.0 * (quaternion[3] * cross + cross @ cross)
+
+
+def _cross(vector: Array) -> Array:
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def roll_pitch_yaw(rotation: Array) -> Vector3:
