@@ -77,7 +77,7 @@ def hand_alone(
     made = settings or core.HandControllerSettings()
     made.grip = made.place = core.Spring(0.0, 0.0, 0.0)
     made.reach_limit = made.posture_stiffness = made.posture_damping = 0.0
-    made.torque_rate = np.inf
+    made.torque_rate = 1e9
     controller = core.HandController()
     tree = kinematics_alone(fingers).tree
     motors = core.Calibration.newton_metres(tree)

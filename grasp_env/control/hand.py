@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from grasp_env import core
 from grasp_env.errors import InvalidInputError
 from grasp_env.force.margin import Margin
-from grasp_env.inputs.arguments import Array, as_array
+from grasp_env.inputs.arguments import Array, as_array, number
 from grasp_env.inputs.ranges import (
     FRICTION,
     FRICTION_MARGIN,
@@ -71,7 +71,9 @@ class HandControllerSettings(Settings):
     tolerance: float = setting(
         1e-4, real(Range(1e-12, 1.0)), "Relative certified gap at which a solve ends."
     )
-    max_iterations: int = setting(40, integer(1), "Largest number of solver steps in an update.")
+    max_iterations: int = setting(
+        40, integer(1), "Largest number of steps of a solve; an update makes one to six."
+    )
     joint_delay: float = setting(
         0.0, real(NOT_NEGATIVE), "Delay of the measured joints; it softens the springs.", unit="s"
     )
@@ -168,6 +170,7 @@ class Calibration:
             torque.
         fade: torque of the springs, and torque, from which friction and dead band count in full
             [N m]; below they fade, so that a joint at rest does not chatter.
+        resolution: commands are multiples of it [device units]; 0: any number.
 
     Raises:
         InvalidInputError: tables that do not ascend through zero, negative losses.
@@ -183,6 +186,7 @@ class Calibration:
     friction: ArrayLike = ()
     dead_band: ArrayLike = ()
     fade: float = 0.01
+    resolution: float = 1.0
     core: core.Calibration = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -193,7 +197,8 @@ class Calibration:
         for name in ("friction", "dead_band"):
             numbers = as_array(getattr(self, name), (None,), f"{name} of a calibration")
             setattr(made, name, numbers.tolist())
-        made.fade = self.fade
+        made.fade = number(self.fade, "fade of a calibration", NOT_NEGATIVE)
+        made.resolution = number(self.resolution, "resolution of a calibration", NOT_NEGATIVE)
         try:
             made.check(len(made.torques))
         except ValueError as error:
@@ -204,14 +209,14 @@ class Calibration:
     def newton_metres(
         cls, hand: HandDescription, friction: ArrayLike = (), dead_band: ArrayLike = ()
     ) -> Calibration:
-        """Return the calibration of a hand whose motors take N m.
+        """Return the calibration of a hand whose motors take N m, of any size.
 
         Args:
             hand: The hand.
             friction, dead_band: as of the class.
         """
         made = core.Calibration.newton_metres(HandKinematics(hand).tree)
-        return cls(made.torques, made.units, friction, dead_band)
+        return cls(made.torques, made.units, friction, dead_band, resolution=made.resolution)
 
     @classmethod
     def currents(
@@ -242,7 +247,10 @@ class Calibration:
                 (units_per_ampere, "units_per_ampere"),
             )
         ]
-        made = core.Calibration.currents(*parts)
+        try:
+            made = core.Calibration.currents(*parts)
+        except ValueError as error:
+            raise InvalidInputError(str(error)) from None
         return cls(made.torques, made.units, friction, dead_band)
 
     @property
@@ -251,7 +259,7 @@ class Calibration:
         return np.array([self.core.limit(joint) for joint in range(len(self.core.torques))])
 
     def to_units(self, torques: ArrayLike, wanted: ArrayLike | None = None) -> Array:
-        """Return device units (M,), whole numbers, for torques (M,) [N m].
+        """Return device units (M,) for torques (M,) [N m].
 
         wanted: (M,) torques of the springs, whose signs are those of the wanted motion; None: none.
         """
@@ -277,6 +285,7 @@ class HandController(core.HandController):
     - "slipping": no forces inside the cones balance it; those with the smallest imbalance.
     - "coasting": the last forces, since joints, contacts or wrench are too old. They fade.
     - "released": the hand carries itself.
+    - "given": forces or places that `hold` asks for instead of optimal forces, unchecked.
 
     Attributes:
         status: see above.
@@ -337,10 +346,14 @@ class HandController(core.HandController):
         """Start at the current state; torques rise from zero.
 
         Raises:
-            InvalidInputError: a state of another hand or with numbers that are not finite.
+            InvalidInputError: before `configure`; a state of another hand, or with numbers that are
+                not finite, or normals or quaternions of another length than 1.
         """
+        if not hasattr(self, "hand"):
+            raise InvalidInputError("call configure(hand) before activate")
         if not super().activate(state):
             raise InvalidInputError(
-                "a state of this hand with finite numbers is needed to begin with, and unit normals where fingertips touch, got "
+                f"a state of this hand, of {self.hand.joint_count} joints and {self.hand.finger_count} fingertips, is needed to begin "
+                "with, with finite numbers, quaternions of length 1, and normals of length 1 where fingertips touch, got "
                 f"{state.numbers.tolist()}"
             )

@@ -124,7 +124,11 @@ class Recording:
         self._check_events()
 
     def _check_events(self) -> None:
-        for name, most in (("event", FOREIGN), ("hold", len(_HOLDS) - 1), ("status", 7)):
+        for name, most in (
+            ("event", FOREIGN),
+            ("hold", len(_HOLDS) - 1),
+            ("status", len(STATUSES) - 1),
+        ):
             numbers = self[name]
             if len(wrong := np.flatnonzero(~np.isin(numbers, np.arange(most + 1)))):
                 raise InvalidInputError(
@@ -397,7 +401,8 @@ def _setup(header: dict[str, Any]) -> _Setup:
         setattr(calibration, name, [_numbers(row, name) for row in _entry(table, name, list)])
     for name in ("friction", "dead_band"):
         setattr(calibration, name, _numbers(_entry(table, name, list), name))
-    calibration.fade = _like(1.0, table.get("fade"), "fade")
+    for name in ("fade", "resolution"):
+        setattr(calibration, name, _like(1.0, table.get(name), name))
     return _Setup(tree, settings, calibration, _numbers(_entry(header, "home", list), "home"))
 
 

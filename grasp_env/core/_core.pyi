@@ -864,6 +864,12 @@ class Calibration:
     @fade.setter
     def fade(self, arg: float, /) -> None: ...
 
+    @property
+    def resolution(self) -> float: ...
+
+    @resolution.setter
+    def resolution(self, arg: float, /) -> None: ...
+
     def check(self, joints: int) -> None:
         """Raise a ValueError unless it fits a hand."""
 

@@ -26,6 +26,13 @@ FLAGS = ["-std=c++20", "-Wall", "-Wextra", "-Wpedantic", "-Wno-psabi", "-Werror"
 SHADOW = {"g++": "-Wshadow=local", "clang++": "-Wshadow"}
 """GCC takes a constructor's parameters for shadows of the members that they fill."""
 FLOATING = ["-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math"]
+SANITIZED = [
+    "-O1",
+    "-g1",
+    "-fsanitize=address,undefined,float-cast-overflow",
+    "-fno-sanitize-recover=all",
+    "-D_GLIBCXX_ASSERTIONS",
+]
 EXAMPLES = sorted(
     path for path in (CORE / "examples").glob("*.cpp") if re.match(r"\d\d_", path.name)
 )

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from building import run, spoiled
+from building import SANITIZED, build, run, spoiled, succeed
 from hands import gripper
 
 from grasp_env import core
@@ -217,7 +217,6 @@ def test_without_messages_the_last_forces_stay_then_fade(hand, state, old):
     turned = changed(state, angles=state.angles + 0.01, rates=state.rates + 0.5)
     turned.ages[old] = s.stale + 1e-6
     levers, weight = carried(hand, turned)
-    own = weight - s.damping * turned.rates
     for ticks, share, status in (
         (100, 1.0, "coasting"),
         (100, 0.5, "coasting"),
@@ -226,7 +225,8 @@ def test_without_messages_the_last_forces_stay_then_fade(hand, state, old):
         repeated(made, turned, ticks)
         assert made.status == status
         # rounding of a hundred periods
-        np.testing.assert_allclose(made.torques, own + share * (forces.ravel() @ levers), atol=1e-9)
+        pushed = forces.ravel() @ levers - s.damping * turned.rates
+        np.testing.assert_allclose(made.torques, weight + share * pushed, atol=1e-9)
     repeated(made, state, RISE)
     assert made.status == "holding"
     # optimal within the tolerance of the solver, from another start
@@ -258,7 +258,7 @@ def test_broken_messages_are_ignored(hand, state, spoil):
     made.update(broken, np.nan)
     made.update(broken, -1.0)
     assert np.isfinite(made.torques).all()
-    with pytest.raises(InvalidInputError, match="a state of this hand with finite numbers"):
+    with pytest.raises(InvalidInputError, match="a state of this hand, of 16 joints"):
         made.activate(broken)
     assert made.status == "inactive"
 
@@ -489,8 +489,20 @@ def test_it_answers_the_same_in_cpp_and_allocates_nothing(hand, programs, tmp_pa
     np.testing.assert_allclose(other[:, 18:], mine[:, 18:], atol=1e-4)
     assert abs(other[:, 2:18] - mine[:, 2:18]).max() <= 1.0  # half a unit may be rounded either way
     seen = {STATUSES[int(number)] for number in mine[:, 0]}
-    assert seen == set(STATUSES) - {"marginal"}
+    assert seen == set(STATUSES) - {"marginal", "given"}
     assert (status, allocated, finite) == (0.0, 0.0, 1.0)
+
+
+@pytest.mark.parametrize("sanitized", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_nothing_of_a_hand_is_left_when_another_is_configured(sanitized, request, tmp_path):
+    hands = HandDescription.four_finger(), HandDescription.leap()
+    files = [HandKinematics(each).export(tmp_path / each.name) for each in hands]
+    made = (
+        build(tmp_path, *SANITIZED, compiler="clang++")
+        if sanitized
+        else request.getfixturevalue("programs")
+    )
+    succeed(made / "lifecycle", *files)
 
 
 def test_wrong_arguments_are_named(programs, tmp_path):

@@ -10,19 +10,12 @@ import sys
 from pathlib import Path
 
 import pytest
-from building import CORE, EXAMPLES, ROOT, build, run, succeed
+from building import CORE, EXAMPLES, ROOT, SANITIZED, build, run, succeed
 
 from grasp_env.grasp import presets
 from policies import LearnedInitialForce
 
 SEED = os.environ.get("GRASP_TRIAL_SEED", "0")
-SANITIZED = [
-    "-O1",
-    "-g1",
-    "-fsanitize=address,undefined,float-cast-overflow",
-    "-fno-sanitize-recover=all",
-    "-D_GLIBCXX_ASSERTIONS",
-]
 NUMBER = re.compile(r"-?\b\d+\.?\d*")
 MOST_CHARACTERS = {True: 3_100, False: 10_300}
 

@@ -342,7 +342,7 @@ def changed(recording: Recording, row: int, name: str, value: float) -> np.ndarr
         (3, "event", 5.0, "'event' .* whole numbers from 0 to 4, got 5 in row 3"),
         (3, "event", np.nan, "got nan in row 3"),
         (3, "hold", 0.5, "'hold' .* from 0 to 4"),
-        (3, "status", -1.0, "'status' .* from 0 to 7"),
+        (3, "status", -1.0, "'status' .* from 0 to 8"),
         (0, "event", 0.0, "begins with event 1 .* got event 0 in row 0"),
         (1, "event", 2.0, "got event .* in row 2"),
     ],

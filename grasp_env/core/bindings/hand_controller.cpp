@@ -156,6 +156,7 @@ void bind_hand_controller(nb::module_& m) {
       .def_rw("friction", &Calibration::friction)
       .def_rw("dead_band", &Calibration::dead_band)
       .def_rw("fade", &Calibration::fade)
+      .def_rw("resolution", &Calibration::resolution)
       .def("check", &Calibration::check, "joints"_a, "Raise a ValueError unless it fits a hand.")
       .def("limit", &Calibration::limit, "joint"_a, "Torque available in both directions [N m].")
       .def("__call__", &Calibration::operator(), "joint"_a, "torque"_a, "wanted"_a = 0.0);

@@ -99,6 +99,7 @@ PyObject* touching(const StepReport& t) {
 }
 PyObject* value(double number) { return PyFloat_FromDouble(number); }
 PyObject* value(int number) { return PyLong_FromLong(number); }
+PyObject* value(long long number) { return PyLong_FromLongLong(number); }
 PyObject* value(bool truth) { return PyBool_FromLong(truth); }
 
 constexpr double LARGEST_GAP = 1e9;  // reported instead of an infinite gap

@@ -19,10 +19,12 @@ struct Calibration {
   // [N m] torque of the springs, and torque, from which friction and dead band count in full; below
   // they fade, so that a joint at rest does not chatter
   double fade = 0.01;
+  double resolution = 1.0;  // commands are multiples of it, in device units; 0: any number
 
   // The motors take N m.
   static Calibration newton_metres(const Tree& hand) {
     Calibration out;
+    out.resolution = 0.0;
     for (const Link& link : hand.links) {
       const double limit = std::min(link.torque_limit, LARGEST);
       out.torques.push_back({-limit, limit});
@@ -34,10 +36,14 @@ struct Calibration {
   // units per ampere.
   static Calibration currents(const Numbers& torque_constant, const Numbers& largest,
                               const Numbers& units_per_ampere) {
+    if (largest.size() != torque_constant.size() ||
+        units_per_ampere.size() != torque_constant.size())
+      throw std::invalid_argument(
+          "torque constants, largest currents and units per ampere need one number for each joint");
     Calibration out;
     for (std::size_t j = 0; j < torque_constant.size(); ++j) {
-      const double torque = torque_constant[j] * largest.at(j);
-      const double unit = largest[j] * units_per_ampere.at(j);
+      const double torque = torque_constant[j] * largest[j];
+      const double unit = largest[j] * units_per_ampere[j];
       out.torques.push_back({-torque, torque});
       out.units.push_back({-unit, unit});
     }
@@ -68,13 +74,15 @@ struct Calibration {
               "friction and dead band of a calibration need one number >= 0 for each joint, or "
               "none");
     require(fade > 0.0 && is_finite(fade), "the fade of a calibration must be above 0");
+    require(resolution >= 0.0 && is_finite(resolution),
+            "the resolution of a calibration must be at least 0");
   }
   // Torque available in both directions [N m].
   double limit(int joint) const {
     const double end = std::min(-torques[joint].front(), torques[joint].back());
     return end < LARGEST ? end : infinity;
   }
-  // Device units, as a whole number, for a torque [N m]. wanted: torque of the springs [N m], whose
+  // Device units for a torque [N m]. wanted: torque of the springs [N m], whose
   // sign is that of the wanted motion.
   double operator()(int joint, double torque, double wanted) const {
     const auto faded = [&](double by) { return std::clamp(by / fade, -1.0, 1.0); };
@@ -92,7 +100,7 @@ struct Calibration {
       const auto [least, most] = std::minmax(to.front(), to.back());
       out = std::clamp(out + rising * dead_band[joint] * faded(all), least, most);
     }
-    return std::nearbyint(out);
+    return resolution > 0.0 ? resolution * std::nearbyint(out / resolution) : out;
   }
 
  private:

@@ -1,7 +1,6 @@
 // The forces of the fingers in contact at an update, and what is done where none balance.
 #pragma once
-#include <grasp/hand/hand_model.hpp>
-#include <grasp/hand/hand_settings.hpp>
+#include <grasp/hand/given_forces.hpp>
 #include <grasp/optimizer.hpp>
 #include <grasp/phi/elastic.hpp>
 
@@ -21,7 +20,7 @@ class GripForces {
   std::vector<double> force;     // (N, 3) [N], contact frames
   std::vector<double> torsion;   // (N,) moments about the normals [N m]
   std::vector<double> solution;  // row of the method's last solve
-  std::vector<double> preload;   // (N,) [N] of the margin: grows after a finger has landed
+  std::vector<double> preload;   // (N,) [N] of the margin
   // (N,) [N], object frame: forces of the springs of touching fingers, which are given
   std::vector<Point> springs;
   Balance balance = Balance::within_margin;
@@ -40,16 +39,16 @@ class GripForces {
         method_(checked(method, model)),
         follow_({method.contacts(), {}, method.margin()}, settings.follow),
         within_(within(model, method, settings)),
+        given_(model, method, settings),
         within_margin_(narrowed(method)),
         elastic_(model.tree->fingers()),
         follow_row_(follow_.size()),
         within_row_(within_.size()),
         last_row_(within_row_),
         last_force_(force),
-        direct_(force),
-        squeezed_(force),
         adjustment_(force),
         lasting_(springs),
+        grown_(preload),
         torques_(model.tree->joints()),
         more_torques_(torques_) {}
   GripForces(const GripForces&) = delete;
@@ -57,13 +56,13 @@ class GripForces {
   void reset() {
     std::fill(force.begin(), force.end(), 0.0);
     std::fill(torsion.begin(), torsion.end(), 0.0);
-    std::fill(preload.begin(), preload.end(), 0.0);
+    for (auto* each : {&preload, &grown_}) std::fill(each->begin(), each->end(), 0.0);
+    given_.reset();
     Record(last_row_.data(), model_.tree->fingers()).summary() = {};
     forget_solution();
     std::fill(springs.begin(), springs.end(), Point{0.0, 0.0, 0.0});
     std::fill(lasting_.begin(), lasting_.end(), Point{0.0, 0.0, 0.0});
-    squeezed_mask_ = 0;
-    has_last_ = near_limits_ = false;
+    has_last_ = near_limits_ = exceeds_limits_ = false;
     balance = Balance::within_margin;
     effort = {};
   }
@@ -86,22 +85,21 @@ class GripForces {
   void set_preload(std::uint64_t mask, double period) {
     const double most = settings_.force_rate * period;
     const double share = period / (period + LASTING);
-    bool differs = false;
     for (std::size_t i = 0; i < preload.size(); ++i) {
-      const double given = method_.margin().preload[int(i)];
       const bool on = mask >> i & 1;
       lasting_[i] = on ? lasting_[i] + share * (springs[i] - lasting_[i]) : Point{0.0, 0.0, 0.0};
-      const double whole = on ? std::max(given, carrying(int(i))) : 0.0;
-      preload[i] = !on ? 0.0 : has_last_ ? std::min(whole, preload[i] + most) : whole;
-      differs = differs || (on && preload[i] != given);
+      const double whole = on ? std::max(given_preload(int(i)), carrying(int(i))) : 0.0;
+      grown_[i] = !on ? 0.0 : has_last_ ? std::min(whole, grown_[i] + most) : whole;
     }
-    margin_.reset();
-    if (differs) margin_ = Margin{method_.margin().friction, preload};
+    preload = grown_;
+    use_preload(mask);
   }
-  // Find the forces of the fingers of a mask, with the model's bias and these preloads. period: [s]
-  // since the last update. step: an agent's step that begins.
-  void find(Hold hold, const HandState& state, std::uint64_t mask, double period,
-            const StepRequest* step) {
+  // Find the forces of the fingers of a mask with these preloads. period: [s] since the last
+  // update. spring_torques: (M,) [N m]; the balanced part has the motors' limits less these. step:
+  // an agent's step that begins. Return the share of the springs that is left where forces or
+  // motors cannot carry them.
+  double find(Hold hold, const HandState& state, std::uint64_t mask, double period,
+              const std::vector<double>& spring_torques, const StepRequest* step) {
     state_ = &state;
     mask_ = mask;
     most_change_ = settings_.force_rate * period;
@@ -110,35 +108,35 @@ class GripForces {
     std::fill(torsion.begin(), torsion.end(), 0.0);
     balance = mask || hold != Hold::optimized ? Balance::within_margin : Balance::none;
     if (step) forget_solution();
+    model_.set_bias(spring_torques, 1.0);
     const bool pushes = mask && hold != Hold::place && hold != Hold::reach;
+    double share = 1.0;
     if (pushes && hold == Hold::optimized)
-      optimise(step);
+      share = optimise(spring_torques, step);
     else if (pushes)
-      give(hold, step);
+      given_.find(hold, state, mask, step, force);
     store(pushes);
-  }
-  // The same forces within the motors' limits for another bias: the one at hand leaves no room.
-  void find_within_limits() {
-    if (keep_limits(last_row_.data())) store(true);
+    return share;
   }
   // Write the share of the method's friction that commanded forces (N, 3) [N] use, with their
-  // torsion, to (N,).
-  void write_friction_used(const std::vector<double>& commanded, std::vector<double>& used) const {
+  // torsion times `part`, to (N,).
+  void write_friction_used(const std::vector<double>& commanded, double part,
+                           std::vector<double>& used) const {
     for (std::size_t i = 0; i < used.size(); ++i) {
       const double* scale = &within_margin_.scale[3 * i];
       const double* f = &commanded[3 * i];
-      const double turning = within_margin_.torsion_scale(int(i)) * torsion[i];
+      const double turning = within_margin_.torsion_scale(int(i)) * part * torsion[i];
       const double side = std::hypot(scale[1] * f[1], scale[2] * f[2], turning);
       const double room = std::max(scale[0] * f[0], 0.0);
       used[i] = side > 0.0 ? method_.margin().friction * side / room : 0.0;
     }
   }
-  // True if the motors cannot give what balances within the margin.
-  bool exceeds_limits() const { return balance == Balance::overloaded; }
 
  private:
   // fraction of the torque limits: below it, the next update solves without them
   static constexpr double NEAR = 0.9;
+  // rounding of a balance, relative to the wrench
+  static constexpr double ROUNDED = 1e-6;
   // smallest normal force times friction of a finger that has just landed [N]
   static constexpr double LIGHT = 1e-2;
   // [s] forces of springs that last longer need normal force; errors of the motors are shorter
@@ -148,6 +146,7 @@ class GripForces {
   ForceOptimizer method_;
   // Newton from the last command on the cones; within the motors' limits
   ForceOptimizer follow_, within_;
+  GivenForces given_;
   Contacts within_margin_;  // the method's contacts with the share of friction of its margin
   ElasticBalance elastic_;
   // solution rows of these solvers, and the last command as such a row
@@ -160,11 +159,10 @@ class GripForces {
   std::optional<Margin> margin_;
   bool has_last_ = false;  // there is a last command
   bool near_limits_ = false, exceeds_limits_ = false;
-  std::uint64_t squeezed_mask_ = 0;  // fingers for which `squeezed_` was computed
-  // (N, 3) [N], contact frames: the last command; forces of `Hold::direct` and `Hold::squeeze`; in
-  // the object frame: the adjustment
-  std::vector<double> last_force_, direct_, squeezed_, adjustment_;
+  // (N, 3) [N]: the last command, contact frames; the adjustment, object frame
+  std::vector<double> last_force_, adjustment_;
   std::vector<Point> lasting_;  // (N,) filtered forces of the springs [N], object frame
+  std::vector<double> grown_;   // (N,) preloads, with what carries the springs [N]
   std::vector<double> torques_, more_torques_;  // (M,) work space
 
   static const ForceOptimizer& checked(const ForceOptimizer& method, const HandModel& model) {
@@ -203,8 +201,10 @@ class GripForces {
 
   // --- optimal forces
 
-  void optimise(const StepRequest* step) {
-    asked_ = wrench();
+  // Return the share of the springs.
+  double optimise(const std::vector<double>& spring_torques, const StepRequest* step) {
+    asked_ = state_->wrench();
+    exceeds_limits_ = false;
     if (has_last_) lift_landed_forces();
     if (step || !has_last_ || !near_limits_ || !keep_limits(last_row_.data())) {
       const Record first = step ? by_method(*step) : follow();
@@ -212,7 +212,10 @@ class GripForces {
       const bool few = step && first.code() == RANK_LOST;
       const Record row = few ? follow() : first;
       const bool solved = is_moderate(row);
-      if (!solved && !balance_less()) return balance_elastically();
+      if (!solved && !balance_less()) {
+        balance_elastically();
+        return 1.0;
+      }
       if (solved) set_force(row);
       const bool by_step = solved && step && !few;
       if (can_give(force.data(), 1.0))
@@ -221,7 +224,40 @@ class GripForces {
         keep_limits(has_last_ && near_limits_ ? last_row_.data()
                                               : (by_step ? solution : follow_row_).data());
     }
+    const auto pulls = [](double torque) { return torque != 0.0; };
+    const bool gives_way = is_overloaded() && std::ranges::any_of(spring_torques, pulls);
+    if (gives_way) {
+      // the forces come first: without the springs, and without the preload that carries them
+      model_.set_bias(spring_torques, 0.0);
+      for (std::size_t i = 0; i < preload.size(); ++i)
+        preload[i] = std::min(preload[i], given_preload(int(i)));
+      if (balance == Balance::within_margin) use_preload(mask_);
+      keep_limits((has_last_ ? last_row_ : follow_row_).data());
+    }
     if (has_last_) bound_change();
+    double share = 1.0;
+    if (gives_way) {
+      share = share_of_springs(spring_torques);
+      model_.set_bias(spring_torques, share);
+    }
+    if (is_overloaded()) balance = std::max(balance, Balance::overloaded);
+    return share;
+  }
+  bool is_overloaded() { return exceeds_limits_ || !can_give(force.data(), 1.0 + 1e-9); }
+  // The largest share of all springs, with torques (M,) [N m], that leaves the forces within the
+  // margin and the motors within their limits.
+  double share_of_springs(const std::vector<double>& spring_torques) {
+    model_.torques_of(mask_, force.data(), torsion.data(), torques_);
+    double share = model_.share_within(spring_torques, torques_);
+    each_finger(mask_, [&](int i) {
+      const double* f = &force[3 * i];
+      const double* scale = &within_margin_.scale[3 * i];
+      const double turning = within_margin_.torsion_scale(i) * torsion[i];
+      const double room = scale[0] * f[0] - std::hypot(scale[1] * f[1], scale[2] * f[2], turning);
+      const double need = beyond_cone(i, springs[i]);
+      if (need > 0.0) share = std::min(share, std::max(room, 0.0) / need);
+    });
+    return share;
   }
   void set_force(const Record& row) {
     std::copy_n(row.force(), force.size(), force.data());
@@ -266,7 +302,6 @@ class GripForces {
     const Record row(within_row_.data());
     effort.limited += int(row.summary().iterations);
     exceeds_limits_ = row.code() == LIMITS_EXCEEDED;
-    if (exceeds_limits_) balance = Balance::overloaded;
     if (row.has_force()) set_force(row);
     near_limits_ = !can_give(force.data(), NEAR);
     return row.has_force();
@@ -282,13 +317,26 @@ class GripForces {
 
   // --- preloads
 
+  double given_preload(int i) const { return method_.margin().preload[i]; }
+  // The margin of this update is the method's with these preloads.
+  void use_preload(std::uint64_t mask) {
+    bool differs = false;
+    each_finger(mask, [&](int i) { differs = differs || preload[i] != given_preload(i); });
+    margin_.reset();
+    if (differs) margin_ = Margin{method_.margin().friction, preload};
+  }
+  // How far a force [N], object frame, is outside the cone of a finger within the margin: friction
+  // times the normal force that is missing; below 0 inside.
+  double beyond_cone(int i, const Point& push) const {
+    const double* scale = &within_margin_.scale[3 * i];
+    return std::hypot(scale[1] * dot(push, model_.axis(i, 1)),
+                      scale[2] * dot(push, model_.axis(i, 2))) -
+           scale[0] * dot(push, model_.axis(i, 0));
+  }
   // Normal force [N] that keeps the lasting force of a spring inside the cone.
   double carrying(int i) const {
-    const double* scale = &within_margin_.scale[3 * i];
-    if (!(scale[0] > 0.0)) return 0.0;
-    const double side = std::hypot(scale[1] * dot(lasting_[i], model_.axis(i, 1)),
-                                   scale[2] * dot(lasting_[i], model_.axis(i, 2)));
-    return std::max(side / scale[0] - dot(lasting_[i], model_.axis(i, 0)), 0.0);
+    const double scale = within_margin_.scale[3 * i];
+    return scale > 0.0 ? std::max(beyond_cone(i, lasting_[i]) / scale, 0.0) : 0.0;
   }
   // Move the last command of a finger that has just landed into its cone.
   void lift_landed_forces() {
@@ -326,6 +374,7 @@ class GripForces {
     if (change(last_force_.data()) <= most_change_) return;
     if (follow_.start(from_last(), follow_row_.data()) != STARTED) return;
     const Record before(follow_row_.data());
+    if (!(before.summary().residual <= ROUNDED * (1.0 + size(asked_)))) return;
     const double moved = change(before.force());
     if (moved <= most_change_) return;
     const double share = within_limits(before, most_change_ / moved);
@@ -378,20 +427,22 @@ class GripForces {
     set_force(row);
     return true;
   }
-  // True for a force that is not far above the last one and what the wrench calls for: close to the
-  // limit of what contacts can balance, forces grow beyond all bounds, and crush or shoot away the
-  // object.
+  // True for a force that, without the preload, is not far above the last one and what the wrench
+  // calls for: close to the limit of what contacts can balance, forces grow beyond all bounds, and
+  // crush or shoot away the object.
   bool is_moderate(const Record& row) const {
     constexpr double MUCH = 5.0;
+    constexpr double FEW = 1.0;  // [N]
     if (!row.has_force()) return false;
-    double before = 0.0;
+    const Margin& margin = margin_ ? *margin_ : method_.margin();
+    double before = FEW;
     double now = 0.0;
     double friction = infinity;
     int fingers = 0;
     Point places[64];
     each_finger(mask_, [&](int i) {
       before += last_force_[3 * i];
-      now += row.force()[3 * i];
+      now += row.force()[3 * i] - margin.preload[i];
       friction = std::min(friction, within_margin_.scale[3 * i]);
       places[fingers++] = state_->position(i);
     });
@@ -402,7 +453,7 @@ class GripForces {
   void balance_elastically() {
     balance = Balance::none;
     near_limits_ = false;
-    Vec6 load = wrench();
+    Vec6 load = state_->wrench();
     const Record last(last_row_.data());
     // in addition to the preload of the margin: more, for springs, would push an object away that
     // is not held from all sides
@@ -419,60 +470,6 @@ class GripForces {
     effort.followed += elastic_.iterations;
   }
 
-  // --- given forces
-
-  void give(Hold hold, const StepRequest* step) {
-    if (hold == Hold::direct && step)
-      std::copy(step->force.begin(), step->force.end(), direct_.begin());
-    if (hold == Hold::squeeze && squeezed_mask_ != mask_) squeeze();
-    const std::vector<double>& from = hold == Hold::direct ? direct_ : squeezed_;
-    each_finger(mask_, [&](int i) { std::copy_n(&from[3 * i], 3, &force[3 * i]); });
-    if (hold == Hold::squeeze) restore_balance();
-  }
-  // Compute an internal force of the fingers in contact, at the method's original contacts, whose
-  // normal forces sum to `settings.squeeze`.
-  void squeeze() {
-    const double nothing[6] = {};
-    follow_.solve({.wrench = nothing, .now = {.contacts = mask_}}, follow_row_.data());
-    const Record row(follow_row_.data());
-    double total = 0.0;
-    each_finger(mask_, [&](int i) {
-      for (int a = 0; a < 3; ++a)
-        squeezed_[3 * i + a] = row.has_force() ? row.force()[3 * i + a] : a == 0;
-      total += squeezed_[3 * i];
-    });
-    for (double& f : squeezed_) f *= settings_.squeeze / total;
-    squeezed_mask_ = mask_;
-  }
-  // Restore balance by the least-norm change of the forces, as far as these contacts can.
-  void restore_balance() {
-    // relative to the largest entry: with two contacts the matrix is singular
-    constexpr double SHIFT = 1e-9;
-    Packed6 gram{};
-    Vec6 missed = wrench();
-    each_finger(mask_, [&](int i) {
-      for (int a = 0; a < 3; ++a) {
-        missed = missed + force[3 * i + a] * column(i, a);
-        add_gram(gram, column(i, a));
-      }
-    });
-    double largest = 0.0;
-    for (int r = 0; r < 6; ++r) largest = std::max(largest, gram[packed(r, r)]);
-    for (int r = 0; r < 6; ++r) gram[packed(r, r)] += SHIFT * largest;
-    Ldl6 factor;
-    if (!(factor.factor(gram) > 0.0)) return;
-    const Vec6 pull = factor.solve(missed);
-    each_finger(mask_, [&](int i) {
-      for (int a = 0; a < 3; ++a) force[3 * i + a] -= dot(column(i, a), pull);
-    });
-  }
-
-  // --- wrenches, object frame
-
-  Vec6 wrench() const {
-    const std::span<const double> w = (*state_)[WRENCH];
-    return {w[0], w[1], w[2], w[3], w[4], w[5]};
-  }
   Vec6 column(int i, int a) const { return unit_wrench(state_->position(i), model_.axis(i, a)); }
 };
 

@@ -27,14 +27,16 @@ class HandController {
     pivoting,    // they balance all but a moment that no contact resists
     slipping,    // no forces inside the cones balance it: those with the smallest imbalance
     coasting,    // the last forces, since joints, contacts or wrench are too old
-    released     // the hand carries itself
+    released,    // the hand carries itself
+    given        // unchecked forces or places, which `hold` asks for
   };
-  static constexpr const char* STATUSES[] = {"inactive", "holding",  "marginal", "overloaded",
-                                             "pivoting", "slipping", "coasting", "released"};
+  static constexpr const char* STATUSES[] = {"inactive",   "holding",  "marginal",
+                                             "overloaded", "pivoting", "slipping",
+                                             "coasting",   "released", "given"};
   Hold hold = Hold::optimized;
   Status status = inactive;
   std::vector<double> torques, commands;  // (M,) [N m], device units
-  std::vector<double> spring_torques;     // (M,) part of all springs in `torques` [N m]
+  std::vector<double> spring_torques;     // (M,) part of all springs in wanted torques [N m]
   // (N, 3) commanded forces [N], contact frames: the optimal ones of `forces()` and the springs of
   // the grip
   std::vector<double> force;
@@ -57,17 +59,19 @@ class HandController {
                  std::span<const double> home = {}) {
     settings.check();
     calibration.check(hand->joints());
-    settings_ = settings;
-    calibration_ = calibration;
     std::vector<double> limits;
     for (int j = 0; j < hand->joints(); ++j)
       limits.push_back(std::min(hand->links[j].torque_limit, calibration.limit(j)));
     const std::vector<double> rest = posture(*hand, home);
     parts_ = std::make_unique<Parts>(std::move(hand), limits, settings, method, rest);
+    status = inactive;
+    settings_ = settings;
+    calibration_ = calibration;
     recording_ = {};
+    next_recording_.reset();
     has_own_solver_ = false;
     const Tree& tree = *parts_->model.tree;
-    now_ = HandState(tree.joints(), tree.fingers());
+    now_ = given_ = HandState(tree.joints(), tree.fingers());
     torques = commands = wanted_ = spring_torques = work_ = std::vector<double>(tree.joints());
     force.assign(3 * tree.fingers(), 0.0);
     friction_used_.assign(tree.fingers(), 0.0);
@@ -84,13 +88,14 @@ class HandController {
     configure(hand, settings, Calibration::newton_metres(*hand));
   }
 
-  // Record from the next `activate` on, for as many seconds at most. Allocates. Throws
-  // std::invalid_argument for a controller with a given method, which a recording does not hold.
+  // Record from the next `activate` on, for as many seconds at most, and until an agent's step
+  // comes. Allocates. Throws std::invalid_argument for a controller with a given method: a
+  // recording holds neither.
   void record(double seconds) {
     if (!parts_ || !has_own_solver_ || settings_.follow.method != Method::newton)
       throw std::invalid_argument("a controller with its own Newton solver is needed to record");
-    if (!(seconds > 0.0 && seconds * settings_.rate < 1e9))
-      throw std::invalid_argument("a recording needs a time above 0 s");
+    if (!(seconds > 0.0 && seconds * settings_.rate < 1e8))
+      throw std::invalid_argument("a recording needs a time above 0 s, and less than 1e8 updates");
     const Tree& tree = *parts_->model.tree;
     next_recording_ =
         HandRecording(tree.joints(), tree.fingers(), std::size_t(seconds * settings_.rate) + 2,
@@ -103,10 +108,10 @@ class HandController {
   // is not of this hand or its numbers are not finite.
   bool activate(const HandState& state) noexcept {
     deactivate();
-    if (!parts_ || !good(state)) return false;
+    if (!parts_ || !is_good(state)) return false;
     for (double& number : now_[POSITIONS]) number = 0.0;
     for (double& number : now_[NORMALS]) number = 0.0;
-    take(state);
+    now_.take(state);
     std::fill(updates_apart_.begin(), updates_apart_.end(), 0);
     mask = 0;
     changes = late = over_budget = 0;
@@ -114,6 +119,7 @@ class HandController {
     blind_ = infinity;
     has_lost_force_ = false;
     parts_->forces.reset();
+    parts_->springs.reset();
     status = released;
     parts_->model.look(now_, settings_.damping);
     count_contacts();
@@ -140,10 +146,8 @@ class HandController {
     if (status != inactive) note(HandEvent::deactivate, now_, 0.0);
     status = inactive;
     std::fill(torques.begin(), torques.end(), 0.0);
-    std::fill(commands.begin(), commands.end(), 0.0);
-    std::fill(force.begin(), force.end(), 0.0);
-    std::fill(spring_torques.begin(), spring_torques.end(), 0.0);
-    std::fill(friction_used_.begin(), friction_used_.end(), 0.0);
+    for (std::size_t j = 0; j < commands.size(); ++j) commands[j] = calibration_(int(j), 0.0, 0.0);
+    command_no_forces();
   }
 
   // Write `torques` and `commands`. state: the newest message, of any age; one that is not of this
@@ -158,15 +162,23 @@ class HandController {
   void observe(const HandState& state, double period) noexcept {
     begin_ = std::chrono::steady_clock::now();
     if (status == inactive) return;
-    given_period_ = period;
-    given_ = &state;
     period_ = std::max(0.0, period);  // NaN: 0
+    if (!recording_.full()) {
+      given_period_ = period;
+      is_ours_ = state.is_like(now_);
+      if (is_ours_) given_ = state;
+    }
     late += period > 1.9 / settings_.rate;
-    if (good(state))
-      take(state);
+    if (is_good(state))
+      now_.take(state);
     else
       for (double& age : now_[AGES]) age += period_;
-    parts_->model.look(now_, settings_.damping);
+    // The object was in balance a moment ago, so the same forces hold it until contacts move or the
+    // load changes. After that, a hand without knowledge of its contacts must not keep squeezing:
+    // all but what carries the hand fades.
+    blind_ = is_stale() ? blind_ + period_ : 0.0;
+    known_ = std::clamp(1.0 - (blind_ - settings_.grace) / settings_.fade, 0.0, 1.0);
+    parts_->model.look(now_, known_ * settings_.damping);
     count_contacts();
     prepare();
   }
@@ -178,11 +190,10 @@ class HandController {
     }
     duration = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin_).count();
     over_budget += duration > settings_.budget;
-    if (status != inactive && given_) {
-      const bool ours = given_->numbers().size() == now_.numbers().size();
-      note(ours ? HandEvent::update : HandEvent::foreign, ours ? *given_ : now_, given_period_);
-      given_ = nullptr;
-    }
+    if (step) recording_.end();
+    if (status != inactive)
+      note(is_ours_ ? HandEvent::update : HandEvent::foreign, is_ours_ ? given_ : now_,
+           given_period_);
   }
 
   // (N,) share of the friction that each commanded force uses; infinite without normal force
@@ -221,11 +232,13 @@ class HandController {
   std::unique_ptr<Parts> parts_;
   HandState now_;
   double period_ = 0.0, blind_ = 0.0;  // [s] since the last update; without knowledge
+  double known_ = 1.0;                 // share that knowledge, old as it is, leaves of the forces
   HandRecording recording_;
   std::optional<HandRecording> next_recording_;
   bool has_own_solver_ = false;
-  const HandState* given_ = nullptr;  // to the update that runs, with its period [s]
+  HandState given_;  // to the update that runs, with its period [s], for the recording
   double given_period_ = 0.0;
+  bool is_ours_ = true;  // that state is of this hand
   std::chrono::steady_clock::time_point begin_{};
   std::vector<int> updates_apart_;     // (N,) updates since a finger had contact
   bool has_lost_force_ = false;        // a finger that counts as in contact has none
@@ -268,31 +281,7 @@ class HandController {
 
   // --- messages
 
-  bool good(const HandState& state) const {
-    if (state.numbers().size() != now_.numbers().size()) return false;
-    double most = 0.0;
-    const auto take = [&](double number) {  // not finite: the sum of all
-      most = std::isfinite(number) ? std::max(most, std::abs(number)) : infinity;
-    };
-    for (int part = 0; part < PARTS; ++part)
-      if (part != POSITIONS && part != NORMALS)
-        for (double number : state[HandPart(part)]) take(number);
-    for (std::size_t i = 0; i < updates_apart_.size(); ++i)
-      if (state.touches(i)) {
-        for (int k = 0; k < 3; ++k) take(state.position(int(i))[k]);
-        if (!(std::abs(length(state.normal(int(i))) - 1.0) <= UNIT_TOLERANCE)) return false;
-      }
-    return most <= LARGEST;
-  }
-  void take(const HandState& state) {
-    for (int part = 0; part < PARTS; ++part)
-      if (part != POSITIONS && part != NORMALS)
-        std::ranges::copy(state[HandPart(part)], now_[HandPart(part)].begin());
-    for (std::size_t i = 0; i < updates_apart_.size(); ++i)
-      if (state.touches(i))
-        for (HandPart part : {POSITIONS, NORMALS})
-          std::copy_n(&state[part][3 * i], 3, &now_[part][3 * i]);
-  }
+  bool is_good(const HandState& state) const { return state.is_like(now_) && state.is_sound(); }
   bool is_stale() const {
     const std::span<const double> ages = now_[AGES];
     return !(ages[0] <= settings_.stale && ages[1] <= settings_.stale &&
@@ -343,44 +332,35 @@ class HandController {
     HandModel& model = parts_->model;
     GripForces& forces = parts_->forces;
     const std::uint64_t pushing = this->pushing();
-    const double period = step_time();
     if (!is_stale()) {
-      blind_ = 0.0;
-      // the balanced part has the motors' limits less what the springs take
-      for (std::size_t j = 0; j < spring_torques.size(); ++j) model.bias[j] += spring_torques[j];
-      forces.find(hold, now_, mask, period, step);
-      bool after = false;  // the springs get what the forces leave
-      if (forces.exceeds_limits() && hold == Hold::optimized) {
-        model.bias = model.carrying;
-        forces.find_within_limits();
-        after = true;
-      }
-      status = pushing ? status_of(forces.balance) : released;
+      const double share = forces.find(hold, now_, mask, step_time(), spring_torques, step);
+      for (double& torque : spring_torques) torque *= share;
       model.torques_of(pushing, forces.force.data(), forces.torsion.data(), wanted_);
-      const double share = after ? model.add_within(spring_torques, wanted_) : 1.0;
       set_force(1.0, share);
+      status = hold != Hold::optimized ? given : pushing ? status_of(forces.balance) : released;
     } else {
-      // The object was in balance a moment ago, so the same forces hold it until contacts move or
-      // the load changes. After that, a hand without knowledge of its contacts must not keep
-      // squeezing: the forces fade.
-      blind_ += period_;
-      const double share = std::clamp(1.0 - (blind_ - settings_.grace) / settings_.fade, 0.0, 1.0);
       model.torques_of(pushing, forces.force.data(), forces.torsion.data(), wanted_);
       for (std::size_t j = 0; j < wanted_.size(); ++j) {
-        spring_torques[j] *= share;
+        spring_torques[j] *= known_;
         wanted_[j] =
-            model.carrying[j] + share * (wanted_[j] - model.carrying[j]) + spring_torques[j];
+            model.carrying[j] + known_ * (wanted_[j] - model.carrying[j]) + spring_torques[j];
       }
-      set_force(share, share);
-      status = share > 0.0 && pushing ? coasting : released;
+      set_force(known_, known_);
+      status = known_ > 0.0 && pushing ? coasting : released;
     }
     add_free_springs(pushing);
     if (!std::ranges::all_of(wanted_, [](double torque) { return std::isfinite(torque); })) {
       forces.reset();
       wanted_ = model.carrying;
+      command_no_forces();
       status = released;
     }
-    limit(period);
+    limit(step_time());
+  }
+  void command_no_forces() {
+    std::fill(force.begin(), force.end(), 0.0);
+    std::fill(spring_torques.begin(), spring_torques.end(), 0.0);
+    std::fill(friction_used_.begin(), friction_used_.end(), 0.0);
   }
   // The commanded forces: these shares of the optimal ones and of the springs.
   void set_force(double part, double spring_part) {
@@ -390,7 +370,7 @@ class HandController {
         const double spring = dot(forces.springs[i], parts_->model.axis(i, a));
         force[3 * i + a] = part * forces.force[3 * i + a] + spring_part * spring;
       }
-    parts_->forces.write_friction_used(force, friction_used_);
+    forces.write_friction_used(force, part, friction_used_);
   }
   static Status status_of(Balance balance) {
     constexpr Status of[] = {holding, marginal, overloaded, pivoting, slipping};
@@ -408,9 +388,13 @@ class HandController {
     }
     if (parts_->springs.redundant() && parts_->springs.keep_posture(now_, mask, more)) add(more);
   }
-  void add(const std::vector<double>& more) {
-    parts_->model.add_within(more, wanted_);
-    for (std::size_t j = 0; j < more.size(); ++j) spring_torques[j] += more[j];
+  void add(std::vector<double>& more) {
+    for (double& torque : more) torque *= known_;
+    const double share = parts_->model.share_within(more, wanted_);
+    for (std::size_t j = 0; j < more.size(); ++j) {
+      wanted_[j] += share * more[j];
+      spring_torques[j] += share * more[j];
+    }
   }
   // A missed deadline does not make torques jump. All torques go the same share of their way, so
   // that forces that balance before and after do so in between.

@@ -62,6 +62,10 @@ class HandModel {
         for (int k = 0; k < 3; ++k) frames[9 * i + 3 * k + a] = frame[a][k];
     }
   }
+  // The bias is `carrying` with a share of the torques of springs, (M,) [N m].
+  void set_bias(const std::vector<double>& springs, double share) {
+    for (std::size_t j = 0; j < bias.size(); ++j) bias[j] = carrying[j] + share * springs[j];
+  }
   // Axis a of the contact frame of finger i, object frame.
   Point axis(int i, int a) const {
     return {frames[9 * i + a], frames[9 * i + 3 + a], frames[9 * i + 6 + a]};
@@ -86,15 +90,14 @@ class HandModel {
       if (!(std::abs(torques[j]) <= part * limits[j])) return false;
     return true;
   }
-  // Add as much of `more` to torques, both (M,), as the limits allow; return the share.
-  double add_within(const std::vector<double>& more, std::vector<double>& torques) const {
+  // The largest share of `more` that the limits allow in addition to torques, both (M,).
+  double share_within(const std::vector<double>& more, const std::vector<double>& torques) const {
     double share = 1.0;
     for (int j = 0; j < tree->joints(); ++j) {
       if (more[j] == 0.0) continue;
       const double room = limits[j] - std::copysign(torques[j], torques[j] * more[j]);
       share = std::min(share, std::max(room, 0.0) / std::abs(more[j]));
     }
-    for (int j = 0; j < tree->joints(); ++j) torques[j] += share * more[j];
     return share;
   }
 

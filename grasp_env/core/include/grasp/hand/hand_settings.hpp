@@ -22,12 +22,11 @@ struct HandControllerSettings {
   Options follow{.tolerance = 1e-4, .limit = 40};
 
   // Springs: those that are stiffer than the rate and the delay of the joints allow are softened.
-  double joint_delay = 0.0;            // [s] of the measured joints
-  Spring grip{1500.0, 16.0, 10.0};     // of a touching fingertip to its place on the target
-  Spring place{800.0, 4.0, infinity};  // of all fingertips, for `Hold::place`
-  double reach_stiffness = 60.0;       // [N/m] of a finger that does not touch to its place,
-  double reach_force = 0.3;            // critically damped; [N] its force on the object and
-  double reach_limit = 1.0;            // the largest one on the way
+  double joint_delay = 0.0;         // [s] of the measured joints
+  Spring grip{1500.0, 16.0, 10.0};  // of a touching fingertip to its place on the target
+  double reach_stiffness = 60.0;    // [N/m] of a finger that does not touch to its place,
+  double reach_force = 0.3;         // critically damped; [N] its force on the object and
+  double reach_limit = 1.0;         // the largest one on the way
   // [N m/rad], [N m s/rad] towards the home posture, for joints that the tips leave free
   double posture_stiffness = 0.01, posture_damping = 0.001;
   double damping = 0.0;  // [N m s/rad] of every joint
@@ -41,10 +40,11 @@ struct HandControllerSettings {
                                    // which they then fade
 
   // Of agents and of the controllers that are compared with this one.
-  bool remembers = true;             // the method gets the last command, for starts that use it
-  std::vector<double> directions{};  // (N, 3, K) [1], object frame: internal forces that an
-                                     // adjustment of the start combines
-  double squeeze = 40.0;             // [N] total normal force for `Hold::squeeze`
+  bool remembers = true;               // the method gets the last command, for starts that use it
+  std::vector<double> directions{};    // (N, 3, K) [1], object frame: internal forces that an
+                                       // adjustment of the start combines
+  double squeeze = 40.0;               // [N] total normal force for `Hold::squeeze`
+  Spring place{800.0, 4.0, infinity};  // of all fingertips, for `Hold::place`: never softened
 
   // Throws std::invalid_argument.
   void check() const {
@@ -53,9 +53,13 @@ struct HandControllerSettings {
     };
     const auto finite = [](double value) { return value >= 0.0 && value < infinity; };
     require(rate > 0.0 && rate < infinity, "rate must be above 0 Hz");
+    require(finite(friction) && friction > 0.0 && finite(torsional_friction),
+            "friction must be above 0, and torsional_friction at least 0 m");
     require(friction_margin > 0.0 && friction_margin <= 1.0,
             "friction_margin must be above 0 and at most 1");
-    require(finite(preload), "preload must be at least 0 N");
+    require(finite(preload) && finite(squeeze), "preload and squeeze must be at least 0 N");
+    require(budget >= 0.0, "budget must be at least 0 s");
+    require(follow.limit >= 0 && release >= 0, "max_iterations and release must be at least 0");
     for (const Spring* spring : {&grip, &place})
       require(finite(spring->gain) && finite(spring->damping) && spring->limit >= 0.0,
               "stiffness, damping and limit of springs must be at least 0");
@@ -64,10 +68,13 @@ struct HandControllerSettings {
             "reach_stiffness must be above 0, and the forces of reaching fingers at least 0");
     require(finite(posture_stiffness) && finite(posture_damping) && finite(damping),
             "stiffness and damping of joints must be at least 0");
-    require(force_rate > 0.0 && torque_rate > 0.0, "force_rate and torque_rate must be above 0");
+    require(force_rate > 0.0 && torque_rate > 0.0 && finite(force_rate) && finite(torque_rate),
+            "force_rate and torque_rate must be above 0");
     require(
-        stale >= 0.0 && stale_wrench >= 0.0 && grace >= 0.0 && fade > 0.0 && finite(joint_delay),
-        "times must be at least 0, and fade above 0");
+        finite(stale) && stale_wrench >= 0.0 && finite(grace) && finite(fade) && fade > 0.0 &&
+            finite(joint_delay),
+        "stale, grace, joint_delay and fade must be finite and at least 0 s, fade above it, and "
+        "stale_wrench at least 0 s");
   }
 };
 
@@ -102,9 +109,9 @@ template <class Settings, class F> void each_setting(Settings& s, F&& f) {
 
 // Effort of solvers and motors since its owner last cleared it.
 struct Effort {
-  int iterations = 0, trials = 0;  // of the method: accepted steps, and all steps tried
-  int followed = 0;                // iterations between two solves of the method
-  int limited = 0;  // iterations of Newton within the torque limits, when a force exceeded them
+  long long iterations = 0, trials = 0;  // of the method: accepted steps, and all steps tried
+  long long followed = 0;                // iterations between two solves of the method
+  long long limited = 0;     // those of Newton within the torque limits, when a force exceeded them
   bool saturated = false;    // torques were cut: no force within the limits was found
   double margin = infinity;  // smallest distance of a torque from its limit [N m]
   double share = 0.0;        // largest torque as a fraction of its limit
@@ -115,7 +122,7 @@ enum class Hold {
   optimized,  // the optimal force within the margin, and the grip's springs
   squeeze,    // a constant internal force plus the balancing force
   place,      // no force: every finger holds its place
-  direct,     // given forces
+  direct,     // forces that an agent's step gives
   reach,      // no force: every finger is drawn to its contact
 };
 

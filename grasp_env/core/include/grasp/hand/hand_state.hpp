@@ -1,7 +1,10 @@
 // What a hand and its sensors know at an update: the input of `HandController`.
 #pragma once
+#include <algorithm>
+#include <cmath>
 #include <span>
 #include <vector>
+#include <grasp/contacts/contacts.hpp>
 #include <grasp/hand/rotation.hpp>
 
 namespace grasp {
@@ -69,12 +72,60 @@ class HandState {
   }
   Point position(int i) const { return point(&(*this)[POSITIONS][3 * i]); }
   Point normal(int i) const { return point(&(*this)[NORMALS][3 * i]); }
+  Vec6 wrench() const {
+    const std::span<const double> w = (*this)[WRENCH];
+    return {w[0], w[1], w[2], w[3], w[4], w[5]};
+  }
   bool touches(int i) const { return (*this)[TOUCHING][i] != 0.0; }
   // All parts in one row, for messages and recordings.
   std::span<double> numbers() { return numbers_; }
   std::span<const double> numbers() const { return numbers_; }
 
+  // True for a state of as many joints and fingertips.
+  bool is_like(const HandState& other) const { return std::ranges::equal(first_, other.first_); }
+  // True if all numbers that are read are finite, and normals and quaternions have length 1.
+  bool is_sound() const {
+    const auto finite = [](double number) { return std::abs(number) <= LARGEST; };
+    for (HandPart part : {ANGLES, RATES, TOUCHING, WRENCH, GRAVITY, OBJECT, TARGET})
+      if (!std::ranges::all_of((*this)[part], finite)) return false;
+    for (const BodyRow* body : {&object(), &target()})
+      if (!is_unit(body->quaternion)) return false;
+    for (int i = 0; i < int((*this)[TOUCHING].size()); ++i)
+      if (touches(i) && !(std::ranges::all_of((*this)[POSITIONS].subspan(3 * i, 3), finite) &&
+                          is_unit((*this)[NORMALS].subspan(3 * i, 3))))
+        return false;
+    return std::ranges::none_of((*this)[AGES], [](double age) { return std::isnan(age); });
+  }
+  // Take a sound state of the same hand, with normals and quaternions of exact length. A fingertip
+  // without contact keeps its last contact.
+  void take(const HandState& state) {
+    for (HandPart part : {ANGLES, RATES, TOUCHING, WRENCH, GRAVITY, OBJECT, TARGET})
+      std::ranges::copy(state[part], (*this)[part].begin());
+    for (int k = 0; k < 3; ++k) (*this)[AGES][k] = std::max(state[AGES][k], 0.0);
+    for (BodyRow* body : {&object(), &target()}) make_unit(body->quaternion);
+    for (int i = 0; i < int((*this)[TOUCHING].size()); ++i)
+      if (touches(i)) {
+        for (HandPart part : {POSITIONS, NORMALS})
+          std::copy_n(&state[part][3 * i], 3, &(*this)[part][3 * i]);
+        make_unit((*this)[NORMALS].subspan(3 * i, 3));
+      }
+  }
+
  private:
+  static double length_of(std::span<const double> vector) {
+    double square = 0.0;
+    for (double number : vector) square += number * number;
+    return std::sqrt(square);
+  }
+  static bool is_unit(std::span<const double> vector) {
+    return std::abs(length_of(vector) - 1.0) <= UNIT_TOLERANCE;
+  }
+  static void make_unit(std::span<double> vector) {
+    constexpr double ROUNDING = 1e-12;  // exact ones stay as they are, bit by bit
+    const double length = length_of(vector);
+    if (std::abs(length - 1.0) <= ROUNDING) return;
+    for (double& number : vector) number /= length;
+  }
   int first_[PARTS + 1];
   std::vector<double> numbers_;
 };

@@ -86,15 +86,13 @@ struct Mobility {
   }
 };
 
-// The spring nearest to the wanted one that is stable if it is sampled every `period` [s] from
-// measurements that are `late` [s]; mobility: [1/kg] or [1/(kg m^2)].
-inline Spring stable_spring(const Spring& wanted, double mobility, double period,
-                            double late = 0.0) {
+// The spring nearest to the wanted one that is stable; mobility: [1/kg] or [1/(kg m^2)], time: [s]
+// between two samples, and their age.
+inline Spring stable_spring(const Spring& wanted, double mobility, double time) {
   // largest stiffness * time^2 / mass and damping * time / mass; sampled control without delay
   // diverges from 4 and 2
   constexpr double STIFFNESS = 0.5;
   constexpr double DAMPING = 1.0;
-  const double time = period + late;
   if (!(mobility > 0.0)) return {0.0, 0.0, wanted.limit};
   return {std::min(wanted.gain, STIFFNESS / (mobility * time * time)),
           std::min(wanted.damping, DAMPING / (mobility * time)), wanted.limit};

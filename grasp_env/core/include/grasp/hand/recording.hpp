@@ -47,15 +47,18 @@ class HandRecording {
     name("friction_used", fingers, "1");
     name("duration", 1, "s");
     numbers_.resize(rows * width());
+    most_ = rows;
   }
 
   std::size_t width() const { return columns_.size(); }
   std::size_t rows() const { return rows_; }
-  bool full() const { return width() == 0 || rows_ == numbers_.size() / width(); }
+  bool full() const { return width() == 0 || rows_ >= most_; }
   std::span<const double> numbers() const { return std::span(numbers_).first(rows_ * width()); }
   const std::vector<std::string>& columns() const { return columns_; }
   const std::string& header() const { return header_; }
 
+  // Take no further rows.
+  void end() { most_ = rows_; }
   // Add a row; each part is copied in turn.
   template <class... Parts> void add(const Parts&... parts) {
     if (full()) return;
@@ -107,6 +110,7 @@ class HandRecording {
     out.append(R"(, "friction": )").append(json(calibration.friction));
     out.append(R"(, "dead_band": )").append(json(calibration.dead_band));
     out.append(R"(, "fade": )").append(json(calibration.fade));
+    out.append(R"(, "resolution": )").append(json(calibration.resolution));
     out.append(R"(}, "home": )").append(json(home)).append("}");
     return out;
   }
@@ -114,7 +118,7 @@ class HandRecording {
  private:
   std::vector<std::string> columns_;
   std::vector<double> numbers_;
-  std::size_t rows_ = 0;
+  std::size_t rows_ = 0, most_ = 0;
   std::string header_;
 
   // Infinity is null.

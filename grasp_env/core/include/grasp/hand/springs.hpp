@@ -8,7 +8,7 @@ namespace grasp {
 class Springs {
  public:
   // (N,) the contacts to which free fingers reach [m], and their inward normals, object frame; not
-  // finite: where the finger touches first
+  // finite: where the finger landed last
   std::vector<Point> goals, inwards;
   std::vector<double> depths;  // (N,) below the surface [m]: where `Hold::place` keeps the tips
   std::vector<double> home;    // (M,) posture of the joints that the tips leave free [rad]
@@ -23,6 +23,7 @@ class Springs {
         model_(model),
         place_(settings.place),
         places_(goals.size()),
+        learned_(goals.size()),
         pull_(home.size()),
         tip_push_(3 * goals.size()),
         tip_jacobian_(3 * goals.size() * home.size()),
@@ -30,32 +31,39 @@ class Springs {
         is_redundant_(is_redundant(*model.tree)) {
     constexpr double LIGHTEST = 0.03;  // [kg] tip for which reaching is critically damped
     const Mobility mobility(model.tree, home.data());
-    const double period = 1.0 / settings.rate;
+    const double time = 1.0 / settings.rate + settings.joint_delay;
     for (double of : mobility.tips) {
-      grip_.push_back(stable_spring(settings.grip, of, period, settings.joint_delay));
+      grip_.push_back(stable_spring(settings.grip, of, time));
       const double damping =
           2.0 * std::sqrt(settings.reach_stiffness * std::max(LIGHTEST, 1.0 / of));
       reach_.push_back(
-          stable_spring({settings.reach_stiffness, damping, settings.reach_limit}, of, period));
+          stable_spring({settings.reach_stiffness, damping, settings.reach_limit}, of, time));
     }
     for (double of : mobility.joints) {
       const double damping =
           std::max(settings.posture_damping,
                    2.0 * std::sqrt(settings.posture_stiffness / std::max(of, 1.0)));
-      posture_.push_back(stable_spring({settings.posture_stiffness, damping}, of, period));
-      range_.push_back(stable_spring({END * settings.posture_stiffness, 0.0}, of, period));
-      roll_.push_back(stable_spring({ROLL * settings.posture_stiffness, 0.0}, of, period));
+      posture_.push_back(stable_spring({settings.posture_stiffness, damping}, of, time));
+      range_.push_back(stable_spring({END * settings.posture_stiffness, 0.0}, of, time));
+      roll_.push_back(stable_spring({ROLL * settings.posture_stiffness, 0.0}, of, time));
     }
     reach_depth_ = settings.reach_force / settings.reach_stiffness;
-    for (std::size_t i = 0; i < depths.size(); ++i)
-      depths[i] = settings.squeeze / depths.size() / settings.place.gain;
+    if (place_.gain > 0.0)
+      for (double& depth : depths) depth = settings.squeeze / depths.size() / place_.gain;
+  }
+  // Forget where fingers landed.
+  void reset() {
+    for (std::size_t i = 0; i < goals.size(); ++i)
+      if (learned_[i]) goals[i] = NOWHERE;
+    std::fill(learned_.begin(), learned_.end(), 0);
   }
 
   // A finger lands: its place on the object is where it is.
   void land(int i, const HandState& state) {
     places_[i] = {model_.turn.transposed(model_.tips[i] - state.object().position),
                   model_.turn.transposed() * link_frame(i), state.normal(i)};
-    if (!std::isfinite(goals[i].u)) {
+    learned_[i] = learned_[i] || !std::isfinite(goals[i].u);
+    if (learned_[i]) {
       goals[i] = state.position(i);
       inwards[i] = state.normal(i);
     }
@@ -132,8 +140,8 @@ class Springs {
  private:
   static constexpr Point NOWHERE{infinity, infinity, infinity};
   static constexpr double SETTLING = 1.0;  // [s]
-  // [m] a place does not follow what is farther: one wrong pose of the object moves it by 0.1 mm at
-  // most
+  // [m] a place follows what is farther no faster than this within `SETTLING`: one wrong pose of
+  // the object hardly moves it
   static constexpr double FARTHEST = 5e-3;
   // A joint that the tips leave free is drawn back near its ends, and the link of a touching tip
   // turned back, by so many times the stiffness of the posture.
@@ -154,6 +162,7 @@ class Springs {
     Point normal;
   };
   std::vector<Place> places_;  // (N,)
+  std::vector<char> learned_;  // (N,) the goal is where the finger landed
   std::vector<double> pull_, tip_push_, tip_jacobian_;
   Cholesky gram_;
   bool is_redundant_;

@@ -1,0 +1,416 @@
+"""What a hand's controller says of its forces is true, and it recovers from what it is given."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hands import kinematics_alone
+from numpy.testing import assert_allclose, assert_array_equal
+
+from grasp_env import core
+from grasp_env.control import (
+    Calibration,
+    HandController,
+    HandControllerSettings,
+    HandState,
+    Recording,
+    differences,
+    replay,
+)
+from grasp_env.errors import InvalidInputError
+from grasp_env.grasp import presets
+from grasp_env.sim import HandDescription
+
+PERIOD = 1e-3
+GRASP = presets.paper_cuboid()
+FRICTION = float(np.ravel(GRASP.friction)[0])
+KINEMATICS = kinematics_alone()
+HOME = np.array(KINEMATICS.home)
+JOINTS = len(HOME)
+NO_SPRINGS = dict.fromkeys(
+    ("grip_stiffness", "grip_damping", "posture_stiffness", "posture_damping"), 0.0
+)
+FAST = {"torque_rate": 1e6, "friction": FRICTION}
+
+
+def scaled(limits: np.ndarray) -> Calibration:
+    """Motors with these limits [N m], commanded in N m."""
+    table = np.column_stack([-limits, limits])
+    return Calibration(table, table, resolution=0.0)
+
+
+def made(limits: np.ndarray | None = None, **settings: Any) -> tuple[HandController, HandState]:
+    """A controller, and a state in which the hand holds the paper's cuboid of 2 N."""
+    controller = HandController()
+    options = HandControllerSettings(**{**FAST, **settings})
+    controller.configure(
+        KINEMATICS.hand, options, None if limits is None else scaled(np.asarray(limits))
+    )
+    state = controller.new_state()
+    state.angles = HOME.copy()
+    state.touching[:] = 1.0
+    state.positions[:] = GRASP.positions
+    state.normals[:] = GRASP.normals
+    state.wrench[:] = 0.0, -2.0, 0.0, 0.0, 0.0, 0.0
+    controller.activate(state)
+    return controller, state
+
+
+def updated(controller: HandController, state: HandState, count: int = 1) -> np.ndarray:
+    """Commands of the last update."""
+    return [controller.update(state, PERIOD) for _ in range(count)][-1]
+
+
+def net(controller: HandController, force: np.ndarray) -> np.ndarray:
+    """Wrench (6,) of forces (N, 3), contact frames, on the object."""
+    pushes = np.einsum("nij,nj->ni", controller.arrays()["frames"], force)
+    return np.concatenate([pushes.sum(axis=0), np.cross(GRASP.positions, pushes).sum(axis=0)])
+
+
+def torques_of(controller: HandController, state: HandState, force: np.ndarray) -> np.ndarray:
+    """Torques (M,) of forces (N, 3) and of the links' weight."""
+    moves, weight = KINEMATICS.statics(state.angles, GRASP.positions, state.gravity)
+    pushes = np.einsum("nij,nj->ni", controller.arrays()["frames"], force)
+    return weight + pushes.ravel() @ moves.reshape(-1, JOINTS)
+
+
+# --- statuses
+
+
+@pytest.mark.parametrize("limit", [3, 40])
+def test_statuses_are_true_of_random_loads_contacts_and_motors(limit):
+    """`holding` and `marginal`: the wrench is balanced within the motors' limits, by forces inside
+    the margin and the cones. `slipping`: it is not balanced."""
+    seen = dict.fromkeys(("holding", "marginal", "overloaded", "slipping", "pivoting"), 0)
+    for seed in range(120):
+        rng = np.random.default_rng(seed)
+        limits = rng.uniform(0.7, 1.4, JOINTS) * np.exp(rng.uniform(np.log(0.2), np.log(8.0)))
+        share = rng.choice([0.5, 0.75, 1.0])
+        controller, state = made(
+            limits,
+            friction_margin=share,
+            preload=rng.choice([0.0, 0.5]),
+            max_iterations=limit,
+            **NO_SPRINGS,
+        )
+        for _ in range(12):
+            state.touching[:] = rng.random(4) < 0.8
+            state.wrench[:] = (
+                rng.standard_normal(6) * np.repeat([1.0, 0.02], 3) * np.exp(rng.uniform(-3.0, 3.0))
+            )
+            for _ in range(rng.integers(1, 4)):
+                updated(controller, state)
+                status = controller.status
+                if status not in seen:  # no finger counts as in contact
+                    assert status == "released"
+                    continue
+                seen[status] += 1
+                force = controller.arrays()["optimal"]
+                missing = np.abs(net(controller, force) + state.wrench) / [
+                    1,
+                    1,
+                    1,
+                    0.05,
+                    0.05,
+                    0.05,
+                ]
+                balanced = missing.max() < 1e-5 * (1.0 + np.abs(state.wrench).max())
+                used = np.hypot(force[:, 1], force[:, 2]) / FRICTION
+                room = force[:, 0] - controller.arrays()["preload"]
+                assert (used <= force[:, 0] * (1.0 + 1e-6) + 1e-6).all()
+                if status in ("holding", "marginal"):
+                    assert balanced
+                    torques = torques_of(controller, state, force)
+                    assert (np.abs(torques) <= limits * (1.0 + 1e-6)).all()
+                if status == "holding":
+                    assert (used <= share * room * (1.0 + 1e-6) + 1e-6).all()
+                if status == "slipping":
+                    assert not balanced
+                assert (np.abs(controller.torques) <= limits * (1.0 + 1e-9)).all()
+    assert min(seen.values()) > 5, seen
+
+
+def test_springs_leave_the_motors_and_the_cones_to_the_balanced_part():
+    """With motors that can hardly give what balances, a target 5 mm off pulls as hard as limits and
+    cones allow, and the object stays in balance."""
+    plain, state = made(**NO_SPRINGS)
+    updated(plain, state, 50)
+    limits = 1.05 * np.abs(plain.torques).max() * np.ones(JOINTS)
+    controller, state = made(limits, posture_stiffness=0.0, posture_damping=0.0)
+    updated(controller, state, 50)
+    assert controller.status == "holding"
+    state.target[:3] = 0.0, 3e-3, 4e-3
+    pulled = 0.0
+    for _ in range(600):
+        updated(controller, state)
+        optimal = controller.arrays()["optimal"]
+        assert controller.status == "holding"
+        assert_allclose(net(controller, optimal), -state.wrench, atol=1e-6)
+        torques = torques_of(controller, state, controller.force)
+        assert (np.abs(torques) <= limits * (1.0 + 1e-9)).all()
+        assert_allclose(controller.torques, torques, atol=1e-9)
+        pulled = max(pulled, np.abs(controller.force - optimal).max())
+    assert (controller.friction_used <= 0.75 + 1e-6).all()
+    assert pulled > 0.01
+
+
+@pytest.mark.parametrize("weight", [0.0, 0.03, 0.1, 0.3])
+@pytest.mark.parametrize("preload", [0.5, 2.0])
+def test_a_light_object_gets_its_preload(weight, preload):
+    controller, state = made(preload=preload)
+    state.wrench[1] = -weight
+    updated(controller, state, 20)
+    assert controller.status == "holding"
+    assert (controller.force[:, 0] >= preload).all()
+    assert controller.force[:, 0].sum() < 4.0 * preload + 8.0
+
+
+def test_forces_and_places_that_are_given_are_not_judged():
+    controller, state = made()
+    forces = np.tile([5.0, 50.0, 0.0], (4, 1))
+    controller.hold = core.Hold.direct
+    controller.observe(state, PERIOD)
+    controller.act(True, None, None, forces)
+    assert controller.status == "given"
+    assert_array_equal(controller.force, forces)
+    # a command that is not finite leaves the last one
+    controller.observe(state, PERIOD)
+    controller.act(True, None, None, np.full((4, 3), np.nan))
+    assert_array_equal(controller.force, forces)
+    controller.deactivate()
+    controller.activate(state)
+    updated(controller, state)
+    assert not controller.force.any()
+    for hold in (core.Hold.squeeze, core.Hold.place, core.Hold.reach):
+        controller.hold = hold
+        updated(controller, state)
+        assert controller.status == "given"
+
+
+def test_a_squeeze_presses_at_the_contacts_at_hand():
+    controller, state = made()
+    controller.hold = core.Hold.squeeze
+    updated(controller, state, 5)
+    assert_allclose(net(controller, controller.force), -state.wrench, atol=1e-6)
+    assert (controller.force[:, 0] > 0.0).all()
+    used = np.hypot(controller.force[:, 1], controller.force[:, 2]) / controller.force[:, 0]
+    assert (used < FRICTION).all()
+
+
+# --- messages
+
+
+def test_a_finger_reaches_for_its_last_place():
+    """Each grasp has its own places, also in one life of a controller."""
+    controller, state = made()
+    updated(controller, state, 20)
+    controller.deactivate()
+    state.positions[:, 1] += 0.005
+    controller.activate(state)
+    updated(controller, state, 20)
+    assert_array_equal(controller.arrays()["goals"], state.positions)
+    state.touching[2] = 0.0
+    updated(controller, state, 10)
+    state.touching[2] = 1.0
+    state.positions[2, 0] += 0.002
+    updated(controller, state)
+    assert_array_equal(controller.arrays()["goals"], state.positions)
+
+
+def test_a_recording_of_a_second_grasp_replays():
+    controller, state = made()
+    updated(controller, state, 20)
+    controller.deactivate()
+    state.positions[:, 1] += 0.005
+    controller.record(1.0)
+    controller.activate(state)
+    updated(controller, state, 10)
+    state.touching[0] = 0.0
+    updated(controller, state, 50)
+    recording = Recording.of(controller)
+    assert len(recording) == 61
+    assert differences(recording, replay(recording)).rows == 0
+
+
+def test_a_recording_ends_at_an_agents_step():
+    controller, state = made()
+    controller.deactivate()
+    controller.record(1.0)
+    controller.activate(state)
+    updated(controller, state, 3)
+    controller.observe(state, PERIOD)
+    controller.act(True, None, None, None)
+    updated(controller, state, 3)
+    assert len(Recording.of(controller)) == 4
+
+
+def test_a_released_hand_carries_itself_and_no_more():
+    """Old joints: neither free fingers nor dampers push on."""
+    controller, state = made(damping=0.01)
+    updated(controller, state, 20)
+    state.touching[1] = 0.0
+    state.angles[3:6] += 0.1
+    state.rates[:] = 0.5
+    updated(controller, state, 20)
+    state.ages[0] = 1.0
+    updated(controller, state, 1000)
+    assert controller.status == "released"
+    _, weight = KINEMATICS.statics(state.angles, GRASP.positions, state.gravity)
+    assert_allclose(controller.torques, weight, atol=1e-12)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.02])
+def test_the_spring_of_a_free_finger_is_softened_by_the_delay_of_joints(late):
+    controller, state = made(
+        joint_delay=late, posture_stiffness=0.0, posture_damping=0.0, reach_limit=1e3
+    )
+    updated(controller, state, 5)
+    state.touching[0] = 0.0
+    updated(controller, state, 5)
+    own = KINEMATICS.carries[0]
+
+    def pull() -> tuple[np.ndarray, np.ndarray]:
+        """The force on the tip and its place; without gravity the links weigh nothing."""
+        updated(controller, state)
+        jacobian = KINEMATICS.jacobian(state.angles, 0)[:, own]
+        return np.linalg.solve(jacobian.T, controller.torques[own]), KINEMATICS.tips(state.angles)[
+            0
+        ]
+
+    before, there = pull()
+    state.angles = HOME + 1e-3 * own
+    after, here = pull()
+    moved = here - there
+    mobility, _ = KINEMATICS.mobility(HOME)
+    stiffness = min(60.0, 0.5 / (mobility[0] * (PERIOD + late) ** 2))
+    assert_allclose(-((after - before) @ moved) / (moved @ moved), stiffness, rtol=1e-6)
+    assert (stiffness < 60.0) == (late > 0.0)
+
+
+def test_quaternions_and_normals_count_as_exact_or_not_at_all():
+    controller, state = made(**NO_SPRINGS)
+    held = updated(controller, state, 20)
+    for part in (state.object, state.target):
+        part[3:7] = 0.0, 0.0, 1.0, 1.0
+        assert_array_equal(updated(controller, state), held)
+        with pytest.raises(InvalidInputError, match="quaternions of length 1"):
+            HandController.activate(controller, state)
+        part[3:7] = 0.0, 0.0, 0.0, 1.003
+        controller.activate(state)
+        assert_allclose(updated(controller, state, 20), held, atol=1e-3)
+        part[3:7] = 0.0, 0.0, 0.0, 1.0
+        controller.activate(state)
+        held = updated(controller, state, 20)
+    state.normals[:] = 0.995 * GRASP.normals
+    updated(controller, state, 20)
+    assert controller.status == "holding"
+    assert_allclose(net(controller, controller.force), -state.wrench, atol=1e-6)
+
+
+def test_ages_below_zero_are_new_and_an_infinite_one_of_the_wrench_is_allowed():
+    controller, state = made()
+    state.ages[:] = -30.0, -30.0, np.inf
+    updated(controller, state)
+    assert controller.status == "holding"
+    broken = HandState(JOINTS + 1, 4)
+    updated_with_nothing = [controller.update(broken, PERIOD) for _ in range(30)]
+    assert controller.status == "coasting"
+    assert len(updated_with_nothing) == 30
+
+
+def test_a_state_of_another_hand_with_as_many_numbers_is_refused():
+    """Two fingertips have as many as seven joints."""
+    joints, fingers = JOINTS + 7, 2
+    other = HandState(joints, fingers)
+    controller, state = made()
+    assert len(other.numbers) == len(state.numbers)
+    held = updated(controller, state, 5)
+    other.numbers[:] = state.numbers
+    assert_allclose(updated(controller, other), held, atol=1e-3)
+    assert controller.arrays()["positions"].shape == (4, 3)
+    with pytest.raises(InvalidInputError, match="of 12 joints and 4 fingertips"):
+        controller.activate(other)
+
+
+# --- commands
+
+
+def test_an_inactive_controller_commands_the_units_of_zero_torque():
+    limits = np.array(KINEMATICS.torque_limits)
+    table = Calibration(
+        np.column_stack([-limits, 0.0 * limits, limits]),
+        np.tile([-200.0, 10.0, 240.0], (JOINTS, 1)),
+    )
+    controller = HandController()
+    controller.configure(KINEMATICS.hand, calibration=table)
+    state = controller.new_state()
+    assert_array_equal(updated(controller, state), 10.0)
+    controller.activate(state)
+    updated(controller, state, 5)
+    controller.deactivate()
+    assert_array_equal(updated(controller, state), 10.0)
+
+
+def test_without_a_calibration_commands_are_torques():
+    hand = HandDescription.allegro()
+    controller = HandController()
+    controller.configure(hand)
+    state = controller.new_state()
+    state.angles = np.array(hand.home)
+    state.gravity[:] = 0.0, 0.0, -9.81
+    controller.activate(state)
+    commands = updated(controller, state, 100)
+    assert_allclose(commands, controller.torques, atol=1e-14)
+    assert np.abs(commands).max() > 0.01
+    losses = Calibration.newton_metres(hand, friction=np.full(16, 0.05))
+    assert_allclose(losses.to_units(np.full(16, 0.1), np.ones(16)), 0.15)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("squeeze", np.nan),
+        ("friction", 0.0),
+        ("torsional_friction", -1.0),
+        ("release", -5),
+        ("budget", np.nan),
+        ("grace", np.inf),
+        ("fade", np.inf),
+        ("force_rate", np.inf),
+        ("torque_rate", np.inf),
+        ("stale", np.inf),
+    ],
+)
+def test_settings_that_make_no_finite_command_are_refused(name, value):
+    """By the core, too: in C++ there is nothing before it."""
+    settings = core.HandControllerSettings()
+    setattr(settings, name, value)
+    tree = KINEMATICS.tree
+    motors = core.Calibration.newton_metres(tree)
+    with pytest.raises(ValueError, match=name):
+        core.HandController().configure(tree, settings, motors, KINEMATICS.home.tolist())
+
+
+def test_places_without_stiffness_are_no_fault():
+    settings = core.HandControllerSettings()
+    settings.place = core.Spring(0.0, 1.0, np.inf)
+    tree = KINEMATICS.tree
+    controller = core.HandController()
+    motors = core.Calibration.newton_metres(tree)
+    controller.configure(tree, settings, motors, KINEMATICS.home.tolist())
+    _, state = made()
+    controller.activate(state)
+    controller.hold = core.Hold.place
+    assert np.isfinite(controller.update(state, PERIOD)).all()
+
+
+def test_wrong_uses_are_named():
+    with pytest.raises(InvalidInputError, match=r"call configure\(hand\) before activate"):
+        HandController().activate(HandState(JOINTS, 4))
+    for largest in ([0.6], [0.6, 0.7, 0.8]):
+        with pytest.raises(InvalidInputError, match="one number for each joint"):
+            Calibration.currents([0.5, 0.5], largest, [1000.0, 1000.0])
+    with pytest.raises(InvalidInputError, match="resolution"):
+        Calibration([[-1.0, 1.0]], [[-1.0, 1.0]], resolution=np.nan)
