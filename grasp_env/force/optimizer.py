@@ -107,8 +107,9 @@ class ForceOptimizer:
             `BarzilaiBorweinStep` or `ExactStep`. None: `AdaptiveStep()`.
         elastic: if no force satisfies the limits, return a force with status LIMITS_EXCEEDED
             instead of raising an error. Of the balanced forces inside the cones it is the one whose
-            largest excess / limit is smallest, to 1 % or 1e-6, whichever is larger, given enough
-            iterations. The solution's `objective` is this excess, and `lower_bound` bounds it.
+            largest excess / limit is smallest, to 1 % or 1e-6, whichever is larger;
+            `max_iterations` does not count its steps. The solution's `objective` is this excess,
+            and `lower_bound` bounds it.
 
     Raises:
         InvalidInputError: input of another type or shape, not finite, or out of range

@@ -303,6 +303,18 @@ def test_a_force_that_exceeds_its_limits_has_no_prices():
     assert not exceeded._record[-len(optimizer.limit_labels) :].any()
 
 
+@pytest.mark.parametrize("allowed", range(7))
+def test_few_steps_leave_the_least_excess(allowed):
+    grasp, options = KINDS["newton, elastic"]
+    least = ForceOptimizer(grasp, **options).solve(LOAD).limit_excess
+    for initial in (None, "previous"):
+        optimizer = ForceOptimizer(grasp, **options, initial=initial, max_iterations=allowed)
+        optimizer.solve(0.1 * LOAD)
+        exceeded = optimizer.solve(LOAD)
+        assert exceeded.status is Status.LIMITS_EXCEEDED
+        assert exceeded.limit_excess == pytest.approx(least, rel=0.02)
+
+
 def test_a_start_at_rest_lies_inside():
     assert ForceOptimizer(FIVE, initial="lagrange").solve(np.zeros(6)).initial == "lagrange"
 

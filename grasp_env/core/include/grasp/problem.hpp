@@ -42,8 +42,9 @@ struct Options {
   Start start = Start::standard;
   double tolerance = 0.0;  // relative certified gap, at most 1; 0: 1e-4, or 1e-6 for Method::conic
   int limit = 20000;       // largest number of accepted steps
-  bool elastic = false;  // if no force satisfies the limits, return the one that exceeds them least
-                         // instead of a proof
+  // if no force satisfies the limits, return the one that exceeds them least instead of a proof;
+  // `limit` does not count its steps
+  bool elastic = false;
   StepRule step_rule{};  // for the flows
   // for Start::learned; without a model the default start replaces it
   std::shared_ptr<const Model> model{};

@@ -163,17 +163,14 @@ class General {
 
   // Replace an INFEASIBLE record by the balanced force in the cones that exceeds the limits least,
   // LIMITS_EXCEEDED, if one exists.
-  Code excess(const StopRule& options, const Record& record) {
+  Code excess(const Record& record) {
     const Arena::Use use(arena_);
-    Summary& before = record.summary();
-    const int left = options.limit - int(before.iterations);
-    if (record.code() != INFEASIBLE || left <= 0 || inputs_->limits == 0) return record.code();
+    if (record.code() != INFEASIBLE || inputs_->limits == 0) return record.code();
     const Record next(inputs_->record.data(), inputs_->count);
     const StopRule elastic{EXCESS_WITHIN, CONIC_ITERATIONS};
-    if (least(before.wrench.data(), Criterion::excess, elastic, left, next) != LIMITS_EXCEEDED) {
-      deepest(before.wrench.data());  // restore the multipliers of the proof
+    const double* wrench = record.summary().wrench.data();
+    if (least(wrench, Criterion::excess, elastic, INT_MAX, next) != LIMITS_EXCEEDED)
       return record.code();
-    }
     std::copy(next.force(), next.force() + 3 * inputs_->count, record.initial_force());
     return replace_record(next, record);
   }

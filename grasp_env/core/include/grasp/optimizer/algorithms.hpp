@@ -249,7 +249,12 @@ template <class V, int B> class Algorithms {
     return program ? program->least_normal_from(call_.stop, record_) : code;
   }
 
-  Code general() { return general(call_.stop); }
+  // The least excess has steps of its own: where no force keeps the limits, a descent may spend all
+  // of the call's.
+  Code general() {
+    const Code code = general(call_.stop);
+    return on_.options.elastic && code == INFEASIBLE ? on_.general()->excess(record_) : code;
+  }
   Code general(const StopRule& stop) {
     General* program = on_.general();
     if (!program) return UNDECIDED;
@@ -260,7 +265,6 @@ template <class V, int B> class Algorithms {
     } else {
       code = minimise_phi(*program, stop);
     }
-    if (on_.options.elastic && code == INFEASIBLE) code = program->excess(stop, record_);
     std::ranges::copy(program->multipliers(), on_.answer.multipliers.begin());
     return code;
   }
