@@ -106,7 +106,7 @@ def checked(settings: Any) -> None:
     for name, value in vars(settings).items():
         least, most = RANGES.get(name, (1, 100_000))
         for number in value if isinstance(value, tuple) else (value,):
-            if isinstance(number, int) and not least <= number <= most:
+            if type(number) is int and not least <= number <= most:
                 raise InvalidInputError(
                     f"{name} must be at least {least}, at most {most}, got {shown(number)}"
                 )

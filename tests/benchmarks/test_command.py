@@ -13,6 +13,7 @@ from engines import needs_bullet
 
 from benchmarks import batch
 from benchmarks.__main__ import BENCHMARKS, main
+from benchmarks.benchmark import checked
 from training.evaluation.results.columns import COLUMNS
 from training.evaluation.results.table import numbers, read, summary
 
@@ -28,6 +29,7 @@ def test_it_is_described_by_known_columns_and_settings(name, capsys):
         assert statistic in COLUMNS[base].statistics, column
     options = {part.name for part in fields(made.settings)}
     assert {*made.quick} <= options
+    checked(made.settings())
     with pytest.raises(SystemExit) as stopped:
         main([name, "--help"])
     assert not stopped.value.code
