@@ -29,7 +29,7 @@ def test_it_is_described_by_known_columns_and_settings(name, capsys):
         assert statistic in COLUMNS[base].statistics, column
     options = {part.name for part in fields(made.settings)}
     assert {*made.quick} <= options
-    checked(made.settings())
+    checked(made.settings)
     with pytest.raises(SystemExit) as stopped:
         main([name, "--help"])
     assert not stopped.value.code
