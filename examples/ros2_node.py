@@ -45,7 +45,7 @@ class HandNode(LifecycleNode):
 
     def __init__(self):
         super().__init__("hand_controller")
-        self.controller, self.newest, self.timer = HandController(), dict.fromkeys(INPUTS), None
+        self.controller, self.newest, self.timer = None, dict.fromkeys(INPUTS), None
         for topic, kind in INPUTS.items():
             self.create_subscription(
                 kind,
@@ -63,6 +63,7 @@ class HandNode(LifecycleNode):
         try:
             self.hand = HANDS[hand]() if hand in HANDS else HandDescription.from_urdf(hand)
             # the calibration is left out: efforts are in N m
+            self.controller = HandController()
             self.controller.configure(self.hand, HandControllerSettings(**values))
             self.reading = self.controller.new_state()
             self.reading.gravity = np.array(gravity, dtype=float)
@@ -167,14 +168,11 @@ def read_points(cloud, count):
     if len(points) != count:
         raise ValueError(f"contacts have {len(points)} points, {count} fingertips need one each")
     touching = np.isfinite(points).all(axis=1)
-    positions, normals = (
-        np.where(touching[:, None], points, 0.0).reshape(count, 2, 3).swapaxes(0, 1).copy()
-    )
-    return (
-        touching * 1.0,
-        positions,
-        normals / np.linalg.norm(normals, axis=1, keepdims=True).clip(1e-6),
-    )
+    points[~touching] = 0.0
+    lengths = np.linalg.norm(points[:, 3:], axis=1, keepdims=True)
+    if (lengths[touching] < 0.5).any():
+        raise ValueError("contacts have normals of no length; a contact that is none needs nan")
+    return touching * 1.0, points[:, :3].copy(), points[:, 3:] / lengths.clip(0.5)
 
 
 def pick(names, known, what):

@@ -336,7 +336,7 @@ class HandController(core.HandController):
         arrays = self.arrays()
         self.torques: Array = arrays["torques"]
         self.force: Array = arrays["force"]
-        self.limits = np.minimum(hand.torque_limits, table.limits)
+        self.limits: Array = np.array(self.torque_limits)
 
     def new_state(self) -> HandState:
         """Return a state of this hand: zeros, and an object frame at the base."""

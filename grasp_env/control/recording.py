@@ -38,8 +38,6 @@ _SINGLE = ("event", "hold", "period", "status", "duration")
 _VECTORS = ("positions", "normals", "force")
 _FORM = "a complete recording of a hand's controller"
 _HINT = "; copy the file again, and change nothing in it: HandController.record and Recording.save write such files"
-_NUMBERS, _LIMIT, _DRIVER = 33, 22, 32
-"""Of a joint in a hand file (tree_file.hpp): its numbers, and which are torque limit and driver."""
 
 
 class _Setup(NamedTuple):
@@ -231,12 +229,8 @@ class Recording:
 
     @cached_property
     def limits(self) -> Array:
-        """(M,) largest torques [N m]; infinite for a joint without limit, or without a motor."""
-        numbers = np.frombuffer(self._setup.tree.save()[16:])[2:][: self.joints * _NUMBERS]
-        joints = numbers.reshape(self.joints, _NUMBERS)
-        motors = np.where(joints[:, _LIMIT] < 1e300, joints[:, _LIMIT], np.inf)
-        tables = [self._setup.calibration.limit(joint) for joint in range(self.joints)]
-        return np.where(joints[:, _DRIVER] < 0, np.minimum(motors, tables), np.inf)
+        """(M,) torques that motors and calibration give [N m]; infinite for a joint without limit."""
+        return np.array(self._setup.controller().torque_limits)
 
 
 class Differences(NamedTuple):

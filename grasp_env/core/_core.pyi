@@ -1137,6 +1137,10 @@ class HandController:
         """What was recorded since `activate`."""
 
     @property
+    def torque_limits(self) -> list[float]:
+        """(M,) torques that motors and calibration give [N m]."""
+
+    @property
     def friction_used(self) -> Annotated[NDArray[numpy.float64], dict(order='C', writable=False)]:
         """(N,) share of the friction that each commanded force uses."""
 

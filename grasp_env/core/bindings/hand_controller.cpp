@@ -97,8 +97,12 @@ template <int PART> void bind_part(nb::class_<HandState>& to) {
       [](HandState& state, nb::handle value) {
         const std::span<double> numbers = state[HandPart(PART)];
         const Buffer given(value);
-        if (!given.holds(Py_ssize_t(numbers.size())))
-          throw nb::type_error("a part of a HandState takes a float64 array of its own size");
+        if (!given.holds(Py_ssize_t(numbers.size()))) {
+          const std::string wanted = std::string(HandState::TABLE[PART].name) +
+                                     " of this HandState takes a float64 array of " +
+                                     std::to_string(numbers.size()) + " numbers";
+          throw nb::type_error(wanted.c_str());
+        }
         std::ranges::copy(given.numbers(), numbers.begin());
       });
 }
@@ -258,6 +262,9 @@ void bind_hand_controller(nb::module_& m) {
           "recording",
           [](const HandController& c) -> const HandRecording& { return c.recording(); },
           nb::rv_policy::reference_internal, "What was recorded since `activate`.")
+      .def_prop_ro(
+          "torque_limits", [](nb::handle self) { return configured(self).model().limits; },
+          "(M,) torques that motors and calibration give [N m].")
       .def_prop_ro(
           "friction_used",
           [](nb::handle self) {

@@ -33,20 +33,22 @@ int main(int count, char** arguments) try {
   std::vector<double> out;
   const std::size_t size = in.size() * sizeof(double);
   // the posture of the first message is the one in which gains are computed; it stays in the queue
-  if (recv(channel, in.data(), size, MSG_PEEK) <= 0) return 0;
+  if (recv(channel, in.data(), size, MSG_PEEK | MSG_TRUNC) <= 0) return 0;
   std::copy(in.begin() + 1, in.end(), state.numbers().begin());
   grasp::HandController controller;
   controller.configure(hand, settings, calibration, state[grasp::ANGLES]);
 
   pollfd ready{channel, POLLIN, 0};
   // the controller updates without a message, too
-  const timespec patience{0, long(1.5e9 / settings.rate)};
+  const double wait = 1.5 / settings.rate;
+  const timespec patience{time_t(wait), long(1e9 * (wait - std::floor(wait)))};
   double heard = 0.0, updates = 0.0, last = 0.0;
   while (true) {
     ppoll(&ready, 1, &patience, nullptr);
     bool fresh = false;
     ssize_t got;
-    while ((got = recv(channel, in.data(), size, MSG_DONTWAIT)) > 0) {
+    while ((got = recv(channel, in.data(), size, MSG_DONTWAIT | MSG_TRUNC)) > 0) {
+      if (got != ssize_t(size)) throw std::invalid_argument("a message is not of this hand");
       fresh = true;
       ++heard;
     }  // only the newest is used

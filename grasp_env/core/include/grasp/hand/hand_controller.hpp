@@ -60,8 +60,11 @@ class HandController {
     settings.check();
     calibration.check(hand->joints());
     std::vector<double> limits;
-    for (int j = 0; j < hand->joints(); ++j)
-      limits.push_back(std::min(hand->links[j].torque_limit, calibration.limit(j)));
+    for (int j = 0; j < hand->joints(); ++j) {
+      const Link& link = hand->links[j];
+      limits.push_back(link.coupled() ? infinity
+                                      : std::min(link.torque_limit, calibration.limit(j)));
+    }
     const std::vector<double> rest = posture(*hand, home);
     parts_ = std::make_unique<Parts>(std::move(hand), limits, settings, method, rest);
     status = inactive;

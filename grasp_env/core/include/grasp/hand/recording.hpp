@@ -1,5 +1,6 @@
 // A recording of a hand controller: what it was given and what it did, to run it again elsewhere.
 #pragma once
+#include <charconv>
 #include <cstdio>
 #include <string>
 #include <grasp/hand/calibration.hpp>
@@ -82,7 +83,7 @@ class HandRecording {
     for (std::size_t k = 0; k < width(); ++k)
       std::fprintf(file, "%s%c", columns_[k].c_str(), k + 1 < width() ? ',' : '\n');
     for (std::size_t k = 0; k < rows_ * width(); ++k)
-      std::fprintf(file, "%.17g%c", numbers_[k], (k + 1) % width() ? ',' : '\n');
+      std::fprintf(file, "%s%c", digits(numbers_[k]).text, (k + 1) % width() ? ',' : '\n');
     const bool good = !std::ferror(file);
     if (std::fclose(file) != 0 || !good || std::rename(temporary.c_str(), path.c_str()) != 0) {
       std::remove(temporary.c_str());
@@ -121,11 +122,19 @@ class HandRecording {
   std::size_t rows_ = 0, most_ = 0;
   std::string header_;
 
+  // A number with 17 digits, whatever the locale.
+  struct Digits {
+    char text[32];
+  };
+  static Digits digits(double value) {
+    Digits out;
+    *std::to_chars(out.text, out.text + sizeof out.text, value, std::chars_format::general, 17)
+         .ptr = 0;
+    return out;
+  }
   // Infinity is null.
   static std::string json(double value) {
-    char text[32];
-    std::snprintf(text, sizeof text, "%.17g", value);
-    return std::isfinite(value) ? text : "null";
+    return std::isfinite(value) ? digits(value).text : "null";
   }
   static std::string json(const Spring& spring) {
     const double numbers[] = {spring.gain, spring.damping, spring.limit};
