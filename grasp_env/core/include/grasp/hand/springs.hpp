@@ -48,6 +48,7 @@ class Springs {
       roll_.push_back(stable_spring({ROLL * settings.posture_stiffness, 0.0}, of, time));
     }
     reach_depth_ = settings.reach_force / settings.reach_stiffness;
+    for (int i = 0; i < model.tree->fingers(); ++i) movers_.push_back(model.tree->movers(i));
     if (place_.gain > 0.0)
       for (double& depth : depths) depth = settings.squeeze / depths.size() / place_.gain;
   }
@@ -120,20 +121,20 @@ class Springs {
                               touching >> i & 1 ? model_.touch[i] : model_.tips[i],
                               &tip_jacobian_[3 * m * i]);
     for (int a = 0; a < rows; ++a) {
+      const double* moves = &tip_jacobian_[m * a];
+      const std::vector<int>& joints = movers_[a / 3];
       tip_push_[a] = 0.0;
-      for (int j = 0; j < m; ++j) tip_push_[a] += tip_jacobian_[m * a + j] * pull_[j];
+      for (int j : joints) tip_push_[a] += moves[j] * pull_[j];
       for (int b = 0; b <= a; ++b) {
         gram_(a, b) = a == b ? 1e-10 : 0.0;
-        for (int j = 0; j < m; ++j)
-          gram_(a, b) += tip_jacobian_[m * a + j] * tip_jacobian_[m * b + j];
+        for (int j : joints) gram_(a, b) += moves[j] * tip_jacobian_[m * b + j];
       }
     }
     if (!gram_.factor()) return false;
     gram_.solve(tip_push_.data());
-    for (int j = 0; j < m; ++j) {
-      torques[j] = pull_[j];
-      for (int a = 0; a < rows; ++a) torques[j] -= tip_jacobian_[m * a + j] * tip_push_[a];
-    }
+    torques = pull_;
+    for (int a = 0; a < rows; ++a)
+      for (int j : movers_[a / 3]) torques[j] -= tip_jacobian_[m * a + j] * tip_push_[a];
     return true;
   }
 
@@ -161,8 +162,9 @@ class Springs {
     Rotation link;
     Point normal;
   };
-  std::vector<Place> places_;  // (N,)
-  std::vector<char> learned_;  // (N,) the goal is where the finger landed
+  std::vector<Place> places_;             // (N,)
+  std::vector<char> learned_;             // (N,) the goal is where the finger landed
+  std::vector<std::vector<int>> movers_;  // (N,) joints that move each tip
   std::vector<double> pull_, tip_push_, tip_jacobian_;
   Cholesky gram_;
   bool is_redundant_;
