@@ -98,9 +98,9 @@ class Hand:
         """Publish a phase's messages for its `seconds` at its `rate` [Hz], but for topics that are
         `silent`.
 
-        A `transition` of the node comes first; contacts are stamped `ahead` of time [s].
+        `transitions` of the node come first; contacts are stamped `ahead` of time [s].
         """
-        if transition := phase.get("transition"):
+        for transition in phase.get("transitions", ()):
             self.change(transition)
         self.fill(phase)
         self.seen, sent = [], list[int]()

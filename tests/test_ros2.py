@@ -104,6 +104,8 @@ def test_the_node_commands_what_its_controller_does():
     cycle with an end."""
     lost = POINTS.copy()
     lost[1] = np.nan
+    flat = POINTS.copy()
+    flat[2, 3:] = 0.0
     mixed = {
         name: [*values[::-1], extra]
         for (name, values), extra in zip(JOINTS.items(), ("elbow", 9.0, 9.0), strict=True)
@@ -123,8 +125,12 @@ def test_the_node_commands_what_its_controller_does():
         "from the future": phase(1.3, wrench=pushed, ahead=10.0),
         "from now": phase(wrench=pushed),
         "two frames": phase(1.3, wrench=pushed, frames=["palm", "camera"]),
-        "deactivated": phase(0.3, wrench=pushed, transition="deactivate"),
-        "active again": phase(wrench=pushed, transition="activate"),
+        "deactivated": phase(0.3, wrench=pushed, transitions=["deactivate"]),
+        "active again": phase(wrench=pushed, transitions=["activate"]),
+        "normals of no length": phase(1.3, wrench=pushed, points=flat.tolist()),
+        "configured again": phase(
+            wrench=pushed, transitions=["deactivate", "cleanup", "configure", "activate"]
+        ),
     }
     told = play(str(PYTHON), list(phases.values()), **PARAMETERS)
     assert [told[name] for name in ("configured", "early", "activated", "code")] == [
@@ -179,12 +185,14 @@ def test_the_node_commands_what_its_controller_does():
             "of three fingers",
             "from the future",
             "two frames",
+            "normals of no length",
         ],
         released,
     )
     expected |= {
         "deactivated": dict.fromkeys(HAND.joint_names, 0.0),
         "active again": expected["of all"],
+        "configured again": expected["of all"],
     }
     for name, effort in efforts.items():
         assert effort == pytest.approx(expected[name], abs=1e-5), name
@@ -201,5 +209,6 @@ def test_the_node_commands_what_its_controller_does():
         "released, was coasting",
         "contacts have 3 points, 4 fingertips need one each",
         "their frame_id differ",
+        "contacts have normals of no length",
     ):
         assert said in told["log"]
