@@ -127,10 +127,10 @@ def test_the_node_commands_what_its_controller_does():
         "two frames": phase(1.3, wrench=pushed, frames=["palm", "camera"]),
         "deactivated": phase(0.3, wrench=pushed, transitions=["deactivate"]),
         "active again": phase(wrench=pushed, transitions=["activate"]),
-        "normals of no length": phase(1.3, wrench=pushed, points=flat.tolist()),
         "configured again": phase(
             wrench=pushed, transitions=["deactivate", "cleanup", "configure", "activate"]
         ),
+        "normals of no length": phase(1.3, wrench=pushed, points=flat.tolist()),
     }
     told = play(str(PYTHON), list(phases.values()), **PARAMETERS)
     assert [told[name] for name in ("configured", "early", "activated", "code")] == [
