@@ -324,15 +324,16 @@ class HandController(core.HandController):
         Raises:
             InvalidInputError: a calibration or a posture of another number of joints.
         """
-        self.settings = settings or HandControllerSettings()
-        self.hand = hand
+        chosen = settings or HandControllerSettings()
         kinematics = HandKinematics(hand)
         table = calibration or Calibration.newton_metres(hand)
         rest = hand.home if home is None else as_array(home, (hand.joint_count,), "home").tolist()
         try:
-            super().configure(kinematics.tree, self.settings.to_core(), table.core, rest)
+            super().configure(kinematics.tree, chosen.to_core(), table.core, rest)
         except ValueError as error:
             raise InvalidInputError(str(error)) from None
+        self.settings = chosen
+        self.hand = hand
         arrays = self.arrays()
         self.torques: Array = arrays["torques"]
         self.force: Array = arrays["force"]

@@ -30,10 +30,13 @@ int main(int count, char** arguments) try {
 
   grasp::HandState state(hand->joints(), hand->fingers());
   std::vector<double> in(1 + state.numbers().size());
-  std::vector<double> out;
+  std::vector<double> next(in), out;
   const std::size_t size = in.size() * sizeof(double);
   // the posture of the first message is the one in which gains are computed; it stays in the queue
-  if (recv(channel, in.data(), size, MSG_PEEK | MSG_TRUNC) <= 0) return 0;
+  if (recv(channel, in.data(), size, MSG_PEEK | MSG_TRUNC) != ssize_t(size)) {
+    std::fprintf(stderr, "the first message is not of this hand\n");
+    return 2;
+  }
   std::copy(in.begin() + 1, in.end(), state.numbers().begin());
   grasp::HandController controller;
   controller.configure(hand, settings, calibration, state[grasp::ANGLES]);
@@ -47,8 +50,9 @@ int main(int count, char** arguments) try {
     ppoll(&ready, 1, &patience, nullptr);
     bool fresh = false;
     ssize_t got;
-    while ((got = recv(channel, in.data(), size, MSG_DONTWAIT | MSG_TRUNC)) > 0) {
-      if (got != ssize_t(size)) throw std::invalid_argument("a message is not of this hand");
+    while ((got = recv(channel, next.data(), size, MSG_DONTWAIT | MSG_TRUNC)) > 0) {
+      if (got != ssize_t(size)) continue;  // of another hand
+      in.swap(next);
       fresh = true;
       ++heard;
     }  // only the newest is used

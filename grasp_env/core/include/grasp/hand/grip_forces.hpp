@@ -1,19 +1,11 @@
 // The forces of the fingers in contact at an update, and what is done where none balance.
 #pragma once
 #include <grasp/hand/given_forces.hpp>
+#include <grasp/hand/margin_cones.hpp>
 #include <grasp/optimizer.hpp>
 #include <grasp/phi/elastic.hpp>
 
 namespace grasp {
-
-// How the forces of an update balance the wrench, the best first.
-enum class Balance {
-  within_margin,
-  within_cones,  // with less than the margin
-  overloaded,    // beyond the motors' limits, but least
-  pivoting,      // all but a moment that no contact resists, as that about the line through two
-  none           // the forces inside the cones with the smallest imbalance
-};
 
 class GripForces {
  public:
@@ -23,6 +15,7 @@ class GripForces {
   std::vector<double> preload;   // (N,) [N] of the margin
   // (N,) [N], object frame: forces of the springs of touching fingers, which are given
   std::vector<Point> springs;
+  std::vector<double> spring_torques;  // (M,) of these [N m]
   Balance balance = Balance::within_margin;
   Effort effort;
 
@@ -34,13 +27,14 @@ class GripForces {
         solution(method.size()),
         preload(torsion),
         springs(model.tree->fingers()),
+        spring_torques(model.tree->joints()),
         model_(model),
         settings_(settings),
         method_(checked(method, model)),
         follow_({method.contacts(), {}, method.margin()}, settings.follow),
         within_(within(model, method, settings)),
         given_(model, method, settings),
-        within_margin_(narrowed(method)),
+        cones_(model, method),
         elastic_(model.tree->fingers()),
         follow_row_(follow_.size()),
         within_row_(within_.size()),
@@ -48,7 +42,6 @@ class GripForces {
         last_force_(force),
         adjustment_(force),
         lasting_(springs),
-        grown_(preload),
         torques_(model.tree->joints()),
         more_torques_(torques_) {}
   GripForces(const GripForces&) = delete;
@@ -56,7 +49,9 @@ class GripForces {
   void reset() {
     std::fill(force.begin(), force.end(), 0.0);
     std::fill(torsion.begin(), torsion.end(), 0.0);
-    for (auto* each : {&preload, &grown_}) std::fill(each->begin(), each->end(), 0.0);
+    std::fill(preload.begin(), preload.end(), 0.0);
+    std::fill(spring_torques.begin(), spring_torques.end(), 0.0);
+    share_ = 1.0;
     given_.reset();
     Record(last_row_.data(), model_.tree->fingers()).summary() = {};
     forget_solution();
@@ -72,64 +67,72 @@ class GripForces {
   }
 
   // The force of a spring [N], object frame, without what would take more than half of the last
-  // normal force of its finger.
+  // normal force of its finger. Where that is no force within the margin, the two stay inside the
+  // cone; within it a spring may leave it for a while, to balance the motors' errors.
   Point keeping_contact(int i, const Point& spring) const {
     const Point inward = model_.axis(i, 0);
     const double pull = dot(spring, inward) + 0.5 * force[3 * i];
-    return pull < 0.0 ? spring - pull * inward : spring;
+    const Point kept = pull < 0.0 ? spring - pull * inward : spring;
+    if (balance == Balance::within_margin) return kept;
+    const double beyond = cones_.beyond(i, kept);
+    const double room = std::max(-cones_.beyond(i, &force[3 * i], torsion[i]), 0.0);
+    return beyond > room ? room / beyond * kept : kept;
   }
-  // Set the preloads of the fingers of a mask, for forces within the margin. The preload of a
-  // finger is that of the margin, and what keeps the lasting force of its spring inside the cone:
-  // |t + t'| <= mu (n - p + n') wherever |t| <= mu (n - p). It grows as fast as a force may, from
-  // zero when a finger lands. period: [s] since the last update.
-  void set_preload(std::uint64_t mask, double period) {
+  // Begin an update with the forces `springs` of the fingers of a mask, and set their preloads, for
+  // forces within the margin. The preload of a finger is that of the margin, and what keeps the
+  // lasting force of its spring inside the cone: |t + t'| <= mu (n - p + n') wherever |t| <= mu (n
+  // - p). It grows as fast as a force may, from zero when a finger lands. period: [s] since the
+  // last update.
+  void begin(std::uint64_t mask, double period) {
     const double most = settings_.force_rate * period;
-    const double share = period / (period + LASTING);
+    const double part = period / (period + LASTING);
     for (std::size_t i = 0; i < preload.size(); ++i) {
       const bool on = mask >> i & 1;
-      lasting_[i] = on ? lasting_[i] + share * (springs[i] - lasting_[i]) : Point{0.0, 0.0, 0.0};
+      springs[i] = on ? share_ * springs[i] : Point{0.0, 0.0, 0.0};
+      lasting_[i] = on ? lasting_[i] + part * (springs[i] - lasting_[i]) : Point{0.0, 0.0, 0.0};
       const double whole = on ? std::max(given_preload(int(i)), carrying(int(i))) : 0.0;
-      grown_[i] = !on ? 0.0 : has_last_ ? std::min(whole, grown_[i] + most) : whole;
+      preload[i] = !on ? 0.0 : has_last_ ? std::min(whole, preload[i] + most) : whole;
     }
-    preload = grown_;
     use_preload(mask);
+    push_springs(mask);
   }
-  // Find the forces of the fingers of a mask with these preloads. period: [s] since the last
-  // update. spring_torques: (M,) [N m]; the balanced part has the motors' limits less these. step:
-  // an agent's step that begins. Return the share of the springs that is left where forces or
-  // motors cannot carry them.
-  double find(Hold hold, const HandState& state, std::uint64_t mask, double period,
-              const std::vector<double>& spring_torques, const StepRequest* step) {
+  // `spring_torques` are those of `springs`, in the posture at hand.
+  void push_springs(std::uint64_t mask) {
+    std::fill(spring_torques.begin(), spring_torques.end(), 0.0);
+    each_finger(mask, [&](int i) {
+      model_.posture.push(model_.tree->tips[i].link, model_.touch[i], model_.turn * springs[i],
+                          spring_torques.data());
+    });
+  }
+  // Find the forces of the fingers of a mask with these preloads; the motors' limits are those less
+  // the torques of the springs, which give way to the forces. period: [s] since the last update.
+  // step: an agent's step that begins.
+  void find(Hold hold, const HandState& state, std::uint64_t mask, double period,
+            const StepRequest* step) {
     state_ = &state;
     mask_ = mask;
     most_change_ = settings_.force_rate * period;
     last_force_ = force;  // copied, not swapped: views of it stay valid
+    last_balance_ = balance;
     std::fill(force.begin(), force.end(), 0.0);
     std::fill(torsion.begin(), torsion.end(), 0.0);
     balance = mask || hold != Hold::optimized ? Balance::within_margin : Balance::none;
     if (step) forget_solution();
-    model_.set_bias(spring_torques, 1.0);
+    model_.set_bias(spring_torques);
     const bool pushes = mask && hold != Hold::place && hold != Hold::reach;
-    double share = 1.0;
+    if (!pushes || hold != Hold::optimized) near_limits_ = exceeds_limits_ = false;
     if (pushes && hold == Hold::optimized)
-      share = optimise(spring_torques, step);
+      optimise(period, step);
     else if (pushes)
       given_.find(hold, state, mask, step, force);
     store(pushes);
-    return share;
   }
-  // Write the share of the method's friction that commanded forces (N, 3) [N] use, with their
-  // torsion times `part`, to (N,).
+  // Write the share of the friction that commanded forces (N, 3) [N] use, with their torsion times
+  // `part`, to (N,).
   void write_friction_used(const std::vector<double>& commanded, double part,
                            std::vector<double>& used) const {
-    for (std::size_t i = 0; i < used.size(); ++i) {
-      const double* scale = &within_margin_.scale[3 * i];
-      const double* f = &commanded[3 * i];
-      const double turning = within_margin_.torsion_scale(int(i)) * part * torsion[i];
-      const double side = std::hypot(scale[1] * f[1], scale[2] * f[2], turning);
-      const double room = std::max(scale[0] * f[0], 0.0);
-      used[i] = side > 0.0 ? method_.margin().friction * side / room : 0.0;
-    }
+    for (int i = 0; i < int(used.size()); ++i)
+      used[i] = cones_.used(i, &commanded[3 * i], part * torsion[i]);
   }
 
  private:
@@ -141,20 +144,23 @@ class GripForces {
   static constexpr double LIGHT = 1e-2;
   // [s] forces of springs that last longer need normal force; errors of the motors are shorter
   static constexpr double LASTING = 0.03;
+  // [s] in which springs that gave way return, and the least share of them
+  static constexpr double RETURNING = 1.0, LEAST_SHARE = 1e-3;
   HandModel& model_;
   const HandControllerSettings settings_;
   ForceOptimizer method_;
   // Newton from the last command on the cones; within the motors' limits
   ForceOptimizer follow_, within_;
   GivenForces given_;
-  Contacts within_margin_;  // the method's contacts with the share of friction of its margin
+  MarginCones cones_;
   ElasticBalance elastic_;
   // solution rows of these solvers, and the last command as such a row
   std::vector<double> follow_row_, within_row_, last_row_;
   const HandState* state_ = nullptr;  // of this update
   std::uint64_t mask_ = 0;
-  double most_change_ = 0.0;  // [N]
-  Vec6 asked_{};              // wrench that the forces of this update balance
+  Balance last_balance_ = Balance::within_margin;  // of the update before
+  double most_change_ = 0.0;                       // [N]
+  Vec6 asked_{};                                   // wrench that the forces of this update balance
   // margin of this update, if it is another one than the method's
   std::optional<Margin> margin_;
   bool has_last_ = false;  // there is a last command
@@ -162,18 +168,13 @@ class GripForces {
   // (N, 3) [N]: the last command, contact frames; the adjustment, object frame
   std::vector<double> last_force_, adjustment_;
   std::vector<Point> lasting_;  // (N,) filtered forces of the springs [N], object frame
-  std::vector<double> grown_;   // (N,) preloads, with what carries the springs [N]
+  double share_ = 1.0;          // of the springs: less where the motors cannot give all
   std::vector<double> torques_, more_torques_;  // (M,) work space
 
   static const ForceOptimizer& checked(const ForceOptimizer& method, const HandModel& model) {
     if (method.contacts().count != model.tree->fingers())
       throw std::invalid_argument("the method needs one contact per finger");
     return method;
-  }
-  static Contacts narrowed(const ForceOptimizer& method) {
-    Contacts contacts = method.contacts();
-    contacts.narrow(method.margin().friction);
-    return contacts;
   }
   static ForceOptimizer within(const HandModel& model, const ForceOptimizer& method,
                                const HandControllerSettings& settings) {
@@ -201,8 +202,7 @@ class GripForces {
 
   // --- optimal forces
 
-  // Return the share of the springs.
-  double optimise(const std::vector<double>& spring_torques, const StepRequest* step) {
+  void optimise(double period, const StepRequest* step) {
     asked_ = state_->wrench();
     exceeds_limits_ = false;
     if (has_last_) lift_landed_forces();
@@ -212,52 +212,45 @@ class GripForces {
       const bool few = step && first.code() == RANK_LOST;
       const Record row = few ? follow() : first;
       const bool solved = is_moderate(row);
-      if (!solved && !balance_less()) {
+      if (solved)
+        set_force(row);
+      else if (!balance_less())
         balance_elastically();
-        return 1.0;
-      }
-      if (solved) set_force(row);
       const bool by_step = solved && step && !few;
-      if (can_give(force.data(), 1.0))
+      if (balance == Balance::none || can_give(force.data(), 1.0))
         near_limits_ = false;
       else
         keep_limits(has_last_ && near_limits_ ? last_row_.data()
                                               : (by_step ? solution : follow_row_).data());
     }
-    const auto pulls = [](double torque) { return torque != 0.0; };
-    const bool gives_way = is_overloaded() && std::ranges::any_of(spring_torques, pulls);
-    if (gives_way) {
-      // the forces come first: without the springs, and without the preload that carries them
-      model_.set_bias(spring_torques, 0.0);
-      for (std::size_t i = 0; i < preload.size(); ++i)
-        preload[i] = std::min(preload[i], given_preload(int(i)));
-      if (balance == Balance::within_margin) use_preload(mask_);
-      keep_limits((has_last_ ? last_row_ : follow_row_).data());
-    }
+    if (balance != Balance::none && is_overloaded() && share_ > 0.0)
+      give_way();
+    else if (balance != Balance::within_margin && last_balance_ == Balance::within_margin)
+      share_ *= 0.5;  // their preload may be what is too much
+    else
+      share_ = std::min(1.0, share_ + period / RETURNING);
     if (has_last_) bound_change();
-    double share = 1.0;
-    if (gives_way) {
-      share = share_of_springs(spring_torques);
-      model_.set_bias(spring_torques, share);
-    }
     if (is_overloaded()) balance = std::max(balance, Balance::overloaded);
-    return share;
   }
   bool is_overloaded() { return exceeds_limits_ || !can_give(force.data(), 1.0 + 1e-9); }
-  // The largest share of all springs, with torques (M,) [N m], that leaves the forces within the
-  // margin and the motors within their limits.
-  double share_of_springs(const std::vector<double>& spring_torques) {
-    model_.torques_of(mask_, force.data(), torsion.data(), torques_);
-    double share = model_.share_within(spring_torques, torques_);
-    each_finger(mask_, [&](int i) {
-      const double* f = &force[3 * i];
-      const double* scale = &within_margin_.scale[3 * i];
-      const double turning = within_margin_.torsion_scale(i) * torsion[i];
-      const double room = scale[0] * f[0] - std::hypot(scale[1] * f[1], scale[2] * f[2], turning);
-      const double need = beyond_cone(i, springs[i]);
-      if (need > 0.0) share = std::min(share, std::max(room, 0.0) / need);
-    });
-    return share;
+  // The forces come first: less of the springs and of the preload that carries them, from this
+  // update on; if half of them is too much, none in this one.
+  void give_way() {
+    double left = 1.0;
+    for (double share : {0.98, 0.9, 0.7, 0.5, 0.0}) {
+      const double part = share / left;
+      each_finger(mask_, [&](int i) {
+        springs[i] = part * springs[i];
+        preload[i] = std::min(preload[i], std::max(given_preload(i), part * preload[i]));
+      });
+      left = share;
+      if (balance == Balance::within_margin) use_preload(mask_);
+      push_springs(mask_);
+      model_.set_bias(spring_torques);
+      keep_limits((has_last_ ? last_row_ : follow_row_).data());
+      if (!is_overloaded()) break;
+    }
+    share_ *= left > 0.0 ? left : share_ > LEAST_SHARE ? 0.5 : 0.0;
   }
   void set_force(const Record& row) {
     std::copy_n(row.force(), force.size(), force.data());
@@ -301,10 +294,11 @@ class GripForces {
                   within_row_.data());
     const Record row(within_row_.data());
     effort.limited += int(row.summary().iterations);
-    exceeds_limits_ = row.code() == LIMITS_EXCEEDED;
-    if (row.has_force()) set_force(row);
+    const bool found = is_moderate(row);
+    exceeds_limits_ = found && row.code() == LIMITS_EXCEEDED;
+    if (found) set_force(row);
     near_limits_ = !can_give(force.data(), NEAR);
-    return row.has_force();
+    return found;
   }
   void adjust(Doubles coordinates) {
     const std::size_t columns = coordinates.size();
@@ -325,29 +319,19 @@ class GripForces {
     margin_.reset();
     if (differs) margin_ = Margin{method_.margin().friction, preload};
   }
-  // How far a force [N], object frame, is outside the cone of a finger within the margin: friction
-  // times the normal force that is missing; below 0 inside.
-  double beyond_cone(int i, const Point& push) const {
-    const double* scale = &within_margin_.scale[3 * i];
-    return std::hypot(scale[1] * dot(push, model_.axis(i, 1)),
-                      scale[2] * dot(push, model_.axis(i, 2))) -
-           scale[0] * dot(push, model_.axis(i, 0));
-  }
   // Normal force [N] that keeps the lasting force of a spring inside the cone.
   double carrying(int i) const {
-    const double scale = within_margin_.scale[3 * i];
-    return scale > 0.0 ? std::max(beyond_cone(i, lasting_[i]) / scale, 0.0) : 0.0;
+    const double friction = cones_.friction(i);
+    return friction > 0.0 ? std::max(cones_.beyond(i, lasting_[i]) / friction, 0.0) : 0.0;
   }
   // Move the last command of a finger that has just landed into its cone.
   void lift_landed_forces() {
     const Record row(last_row_.data());
     each_finger(mask_, [&](int i) {
       double* f = row.force() + 3 * i;
-      const double* scale = &within_margin_.scale[3 * i];
-      const double turning = within_margin_.torsion_scale(i) * row.torsion()[i];
-      const double side = std::hypot(scale[1] * f[1], scale[2] * f[2], turning);
-      if (!(scale[0] * (f[0] - preload[i]) > side))
-        f[0] = preload[i] + std::max(1.05 * side, LIGHT) / scale[0];
+      const double side = cones_.side(i, f, row.torsion()[i]);
+      if (!(cones_.friction(i) * (f[0] - preload[i]) > side))
+        f[0] = preload[i] + std::max(1.05 * side, LIGHT) / cones_.friction(i);
     });
   }
   // Keep the command for the next update.
@@ -364,19 +348,26 @@ class GripForces {
   // Move the forces towards the last command, rebalanced, until no component differs by more than
   // `most_change_`.
   void bound_change() {
-    const auto change = [&](const double* then) {
+    const auto change = [&](const double* then, const double* now) {
       double most = 0.0;
       each_finger(mask_, [&](int i) {
-        for (int j = 3 * i; j < 3 * i + 3; ++j) most = std::max(most, std::abs(force[j] - then[j]));
+        for (int j = 3 * i; j < 3 * i + 3; ++j) most = std::max(most, std::abs(now[j] - then[j]));
       });
       return most;
     };
-    if (change(last_force_.data()) <= most_change_) return;
-    if (follow_.start(from_last(), follow_row_.data()) != STARTED) return;
-    const Record before(follow_row_.data());
-    if (!(before.summary().residual <= ROUNDED * (1.0 + size(asked_)))) return;
-    const double moved = change(before.force());
+    const double wanted = change(last_force_.data(), force.data());
+    if (wanted <= most_change_) return;
+    const Record before(follow_row_.data(), int(torsion.size()));
+    if (follow_.start(from_last(), follow_row_.data()) != STARTED ||
+        !(before.summary().residual <= ROUNDED * (1.0 + size(asked_)))) {
+      if (balance != Balance::none && !is_overloaded()) return;  // balance comes first
+      std::copy(last_force_.begin(), last_force_.end(), before.force());
+      std::copy_n(Record(last_row_.data()).torsion(), torsion.size(), before.torsion());
+    }
+    const double moved = change(before.force(), force.data());
     if (moved <= most_change_) return;
+    // forces that motors cannot give may grow when they are rebalanced
+    if (moved > wanted && is_overloaded()) return;
     const double share = within_limits(before, most_change_ / moved);
     for (std::size_t j = 0; j < force.size(); ++j)
       force[j] = before.force()[j] + share * (force[j] - before.force()[j]);
@@ -427,27 +418,31 @@ class GripForces {
     set_force(row);
     return true;
   }
-  // True for a force that, without the preload, is not far above the last one and what the wrench
-  // calls for: close to the limit of what contacts can balance, forces grow beyond all bounds, and
-  // crush or shoot away the object.
+  // True for a force that, without the preload, is not far above what wrench and preload call for,
+  // and the last one: close to the limit of what contacts can balance, forces grow beyond all
+  // bounds, and crush or shoot away the object.
   bool is_moderate(const Record& row) const {
     constexpr double MUCH = 5.0;
     constexpr double FEW = 1.0;  // [N]
     if (!row.has_force()) return false;
     const Margin& margin = margin_ ? *margin_ : method_.margin();
-    double before = FEW;
+    double last = 0.0;
     double now = 0.0;
     double friction = infinity;
+    Vec6 load = asked_;
     int fingers = 0;
     Point places[64];
     each_finger(mask_, [&](int i) {
-      before += last_force_[3 * i];
+      last += last_force_[3 * i];
       now += row.force()[3 * i] - margin.preload[i];
-      friction = std::min(friction, within_margin_.scale[3 * i]);
+      load = load + margin.preload[i] * column(i, 0);
+      friction = std::min(friction, cones_.friction(i));
       places[fingers++] = state_->position(i);
     });
     const UnitFrame unit(fingers, [&](int k) { return places[k]; });
-    return now <= MUCH * (before + size(unit.of(asked_)) / friction);
+    const double called = FEW + size(unit.of(load)) / friction;
+    const bool exceeds = row.code() == LIMITS_EXCEEDED;
+    return now <= MUCH * (called + (exceeds ? 0.0 : std::min(last, MUCH * called)));
   }
   // Minimise the imbalance within the margin, from the last forces.
   void balance_elastically() {
@@ -464,7 +459,7 @@ class GripForces {
       torsion[i] = has_last_ ? last.torsion()[i] : 0.0;
       load = load + margin(i) * column(i, 0);
     });
-    elastic_.solve(within_margin_, mask_, positions(), model_.frames.data(), load,
+    elastic_.solve(cones_.contacts, mask_, positions(), model_.frames.data(), load,
                    settings_.follow.limit, force.data(), torsion.data());
     each_finger(mask_, [&](int i) { force[3 * i] += margin(i); });
     effort.followed += elastic_.iterations;

@@ -166,6 +166,7 @@ class HandController {
     begin_ = std::chrono::steady_clock::now();
     if (status == inactive) return;
     period_ = std::max(0.0, period);  // NaN: 0
+    const double waited = period > 0.0 ? period : 1.0 / settings_.rate;
     if (!recording_.full()) {
       given_period_ = period;
       is_ours_ = state.is_like(now_);
@@ -175,11 +176,11 @@ class HandController {
     if (is_good(state))
       now_.take(state);
     else
-      for (double& age : now_[AGES]) age += period_;
+      for (double& age : now_[AGES]) age += waited;
     // The object was in balance a moment ago, so the same forces hold it until contacts move or the
     // load changes. After that, a hand without knowledge of its contacts must not keep squeezing:
     // all but what carries the hand fades.
-    blind_ = is_stale() ? blind_ + period_ : 0.0;
+    blind_ = is_stale() ? blind_ + waited : 0.0;
     known_ = std::clamp(1.0 - (blind_ - settings_.grace) / settings_.fade, 0.0, 1.0);
     parts_->model.look(now_, known_ * settings_.damping);
     count_contacts();
@@ -314,43 +315,39 @@ class HandController {
   // The fingers that push with forces, and the time in which these may change [s].
   std::uint64_t pushing() const { return hold == Hold::place || hold == Hold::reach ? 0 : mask; }
   double step_time() const { return std::min(period_, 2.0 / settings_.rate); }
-  // Find the forces of the springs of touching fingers with their torques, and the preloads.
+  // Begin the update of the forces: with those of the springs of touching fingers, and preloads.
+  // Without knowledge the last ones stay.
   void prepare() {
-    HandModel& model = parts_->model;
     GripForces& forces = parts_->forces;
     const std::uint64_t gripping = hold == Hold::optimized ? mask : 0;
-    std::fill(spring_torques.begin(), spring_torques.end(), 0.0);
-    std::fill(forces.springs.begin(), forces.springs.end(), Point{0.0, 0.0, 0.0});
+    if (is_stale()) return forces.push_springs(gripping);
     each_finger(gripping, [&](int i) {
+      forces.springs[i] = {0.0, 0.0, 0.0};
       if (!now_.touches(i)) return;  // it counts for some updates more
       parts_->springs.settle(i, now_, step_time());
-      const Point spring = model.turn.transposed(parts_->springs.grip(i, now_));
-      forces.springs[i] = forces.keeping_contact(i, spring);
-      model.posture.push(model.tree->tips[i].link, model.touch[i], model.turn * forces.springs[i],
-                         spring_torques.data());
+      forces.springs[i] =
+          forces.keeping_contact(i, parts_->model.turn.transposed(parts_->springs.grip(i, now_)));
     });
-    forces.set_preload(gripping, step_time());
+    forces.begin(gripping, step_time());
   }
   void command(const StepRequest* step) {
     HandModel& model = parts_->model;
     GripForces& forces = parts_->forces;
     const std::uint64_t pushing = this->pushing();
     if (!is_stale()) {
-      const double share = forces.find(hold, now_, mask, step_time(), spring_torques, step);
-      for (double& torque : spring_torques) torque *= share;
-      model.torques_of(pushing, forces.force.data(), forces.torsion.data(), wanted_);
-      set_force(1.0, share);
+      forces.find(hold, now_, mask, step_time(), step);
       status = hold != Hold::optimized ? given : pushing ? status_of(forces.balance) : released;
     } else {
-      model.torques_of(pushing, forces.force.data(), forces.torsion.data(), wanted_);
-      for (std::size_t j = 0; j < wanted_.size(); ++j) {
-        spring_torques[j] *= known_;
-        wanted_[j] =
-            model.carrying[j] + known_ * (wanted_[j] - model.carrying[j]) + spring_torques[j];
-      }
-      set_force(known_, known_);
       status = known_ > 0.0 && pushing ? coasting : released;
     }
+    model.set_bias(forces.spring_torques);
+    model.torques_of(pushing, forces.force.data(), forces.torsion.data(), wanted_);
+    for (std::size_t j = 0; j < wanted_.size(); ++j) {
+      wanted_[j] =
+          known_ < 1.0 ? model.carrying[j] + known_ * (wanted_[j] - model.carrying[j]) : wanted_[j];
+      spring_torques[j] = known_ * forces.spring_torques[j];
+    }
+    set_force();
     add_free_springs(pushing);
     if (!std::ranges::all_of(wanted_, [](double torque) { return std::isfinite(torque); })) {
       forces.reset();
@@ -365,15 +362,15 @@ class HandController {
     std::fill(spring_torques.begin(), spring_torques.end(), 0.0);
     std::fill(friction_used_.begin(), friction_used_.end(), 0.0);
   }
-  // The commanded forces: these shares of the optimal ones and of the springs.
-  void set_force(double part, double spring_part) {
+  // The commanded forces: the optimal ones with those of the springs.
+  void set_force() {
     const GripForces& forces = parts_->forces;
     for (int i = 0; i < int(updates_apart_.size()); ++i)
       for (int a = 0; a < 3; ++a) {
         const double spring = dot(forces.springs[i], parts_->model.axis(i, a));
-        force[3 * i + a] = part * forces.force[3 * i + a] + spring_part * spring;
+        force[3 * i + a] = known_ * (forces.force[3 * i + a] + spring);
       }
-    forces.write_friction_used(force, part, friction_used_);
+    forces.write_friction_used(force, known_, friction_used_);
   }
   static Status status_of(Balance balance) {
     constexpr Status of[] = {holding, marginal, overloaded, pivoting, slipping};

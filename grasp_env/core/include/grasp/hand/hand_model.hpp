@@ -62,9 +62,9 @@ class HandModel {
         for (int k = 0; k < 3; ++k) frames[9 * i + 3 * k + a] = frame[a][k];
     }
   }
-  // The bias is `carrying` with a share of the torques of springs, (M,) [N m].
-  void set_bias(const std::vector<double>& springs, double share) {
-    for (std::size_t j = 0; j < bias.size(); ++j) bias[j] = carrying[j] + share * springs[j];
+  // The bias is `carrying` with the torques of springs, (M,) [N m].
+  void set_bias(const std::vector<double>& springs) {
+    for (std::size_t j = 0; j < bias.size(); ++j) bias[j] = carrying[j] + springs[j];
   }
   // Axis a of the contact frame of finger i, object frame.
   Point axis(int i, int a) const {

@@ -117,6 +117,15 @@ struct Effort {
   double share = 0.0;        // largest torque as a fraction of its limit
 };
 
+// How the forces of an update balance the wrench, the best first.
+enum class Balance {
+  within_margin,
+  within_cones,  // with less than the margin
+  overloaded,    // beyond the motors' limits, but least
+  pivoting,      // all but a moment that no contact resists, as that about the line through two
+  none           // the forces inside the cones with the smallest imbalance
+};
+
 // Behaviour of the fingers in contact.
 enum class Hold {
   optimized,  // the optimal force within the margin, and the grip's springs
