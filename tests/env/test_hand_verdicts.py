@@ -156,6 +156,75 @@ def test_springs_leave_the_motors_and_the_cones_to_the_balanced_part():
     assert pulled > 0.01
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_weak_motors_and_springs_do_not_chatter(seed):
+    """At constant input: springs that motors cannot give leave a part that hardly moves."""
+    rng = np.random.default_rng(seed)
+    plain, state = made(**NO_SPRINGS)
+    updated(plain, state, 50)
+    limits = rng.uniform(1.05, 1.6) * np.abs(plain.torques).max() * rng.uniform(0.9, 1.2, JOINTS)
+    controller, state = made(limits, posture_stiffness=0.0, posture_damping=0.0)
+    updated(controller, state, 50)
+    state.target[:3] = rng.standard_normal(3) * 3e-3
+    updated(controller, state, 1000)
+    before = controller.force.copy()
+    for _ in range(100):
+        updated(controller, state)
+        assert np.abs(controller.force - before).max() < 0.5  # a tenth of the springs at most
+        before = controller.force.copy()
+
+
+def test_springs_stay_inside_the_cones_where_no_force_within_the_margin_balances():
+    """Three fingers, a small share of the friction, and a target that is some millimetres off."""
+    rng = np.random.default_rng(1)
+    seen = 0
+    for _ in range(40):
+        controller, state = made(friction_margin=0.4, preload=0.0)
+        state.touching[3] = 0.0
+        state.wrench[:] = rng.standard_normal(6) * np.repeat([0.1, 0.002], 3)
+        controller.activate(state)
+        state.target[:3] = rng.standard_normal(3) * 2e-3
+        updated(controller, state, 300)
+        if controller.status in ("marginal", "slipping", "pivoting"):
+            seen += 1
+            assert (controller.friction_used[:3] <= 1.0 + 1e-3).all()
+    assert seen > 5
+
+
+def test_an_overload_does_not_grow():
+    """Two soft tips, and a load far beyond the motors: the forces of least excess stay as they
+    are, update by update."""
+    limits = np.full(JOINTS, 0.07)
+    controller, state = made(limits, torsional_friction=0.005, **NO_SPRINGS)
+    state.touching[1:3] = 0.0
+    state.wrench[:] = 0.35, -10.0, -5.6, -0.035, 0.053, -0.02
+    controller.activate(state)
+    updated(controller, state, 20)
+    first = controller.arrays()["optimal"].copy()
+    updated(controller, state, 200)
+    assert controller.status == "overloaded"
+    # five times the load over the share of the friction, and its moments in the grasp's length
+    assert first[:, 0].sum() < 5.0 * 15.0 / (0.75 * FRICTION)
+    assert_allclose(controller.arrays()["optimal"], first, atol=0.1)
+
+
+def test_the_last_forces_stay_when_knowledge_ends():
+    """Springs that gave way to weak motors do not come back with it."""
+    plain, state = made(**NO_SPRINGS)
+    updated(plain, state, 50)
+    limits = 1.05 * np.abs(plain.torques).max() * np.ones(JOINTS)
+    controller, state = made(limits, posture_stiffness=0.0, posture_damping=0.0)
+    state.target[:3] = 0.0, 3e-3, 4e-3
+    updated(controller, state, 300)
+    force = controller.force.copy()
+    torques = controller.torques.copy()
+    state.ages[0] = 1.0
+    updated(controller, state, 50)
+    assert controller.status == "coasting"
+    assert_allclose(controller.force, force, atol=1e-12)
+    assert_allclose(controller.torques, torques, atol=1e-12)
+
+
 @pytest.mark.parametrize("weight", [0.0, 0.03, 0.1, 0.3])
 @pytest.mark.parametrize("preload", [0.5, 2.0])
 def test_a_light_object_gets_its_preload(weight, preload):
@@ -318,6 +387,26 @@ def test_ages_below_zero_are_new_and_an_infinite_one_of_the_wrench_is_allowed():
     updated_with_nothing = [controller.update(broken, PERIOD) for _ in range(30)]
     assert controller.status == "coasting"
     assert len(updated_with_nothing) == 30
+
+
+@pytest.mark.parametrize("period", [0.0, -1.0, np.nan])
+def test_a_broken_clock_does_not_stop_ageing(period):
+    controller, state = made()
+    updated(controller, state, 5)
+    broken = HandState(JOINTS + 1, 4)
+    for _ in range(1000):
+        controller.update(broken, period)
+    assert controller.status == "released"
+
+
+def test_a_second_configure_changes_nothing():
+    controller, state = made()
+    updated(controller, state, 5)
+    with pytest.raises(InvalidInputError, match="make a new one"):
+        controller.configure(HandDescription.allegro(), HandControllerSettings(rate=100.0))
+    assert controller.hand is KINEMATICS.hand
+    assert controller.settings.rate == 1000.0
+    assert controller.status == "holding"
 
 
 def test_a_state_of_another_hand_with_as_many_numbers_is_refused():
