@@ -231,3 +231,63 @@ def test_late_measurements_are_extrapolated():
         assert_allclose(getattr(seen, name), getattr(now, name), atol=1e-5)
     assert np.abs(now.points - before).max() > 1e-4
     scene.close()
+
+
+@pytest.mark.parametrize(("joints", "rest"), [(2, 0), (0, 3), (1, 4), (5, 2)])
+def test_what_is_late_is_moved_on_by_its_own_delay(joints, rest):
+    """Joints by theirs, at the rates of then; the object by that of the rest."""
+    scene, truth = scene_alone()
+    sensors = core.SensorSettings()
+    sensors.tick = TICK
+    sensors.joint_delay, sensors.delay = joints, rest
+    made, _ = hand_alone(scene, sensors=sensors)
+
+    def place(k: int) -> None:
+        truth.angles[:], truth.rates[:] = 0.5 + 0.01 * k, 0.1 + 0.02 * k
+        truth.position[:], truth.linear[:] = 0.001 * k, 0.2 - 0.01 * k
+
+    place(0)
+    made.reset()
+    for k in range(12):
+        place(k)
+        seen = look(made, np.zeros(6), np.zeros(15))
+        then, there = max(k - joints, 0), max(k - rest, 0)
+        # sums and products of three numbers
+        moved = 0.01 * then + joints * TICK * (0.1 + 0.02 * then)
+        assert_allclose(seen.angles, 0.5 + moved, rtol=1e-12)
+        assert_allclose(
+            seen.position, 0.001 * there + rest * TICK * (0.2 - 0.01 * there), rtol=1e-12
+        )
+
+
+def test_an_estimate_begins_anew_after_a_reset():
+    """The first tick has nothing to compare its momentum with."""
+    scene, truth = scene_alone()
+    sensors, body = core.SensorSettings(), core.Body()
+    body.mass, body.inertia = MASS, INERTIA.reshape(-1).tolist()
+    sensors.wrench, sensors.tick = core.WrenchSource.estimated, TICK
+    made, controller = hand_alone(scene, sensors=sensors, body=body)
+    for speed in (0.0, 1.0, -1.0):
+        truth.linear[:] = truth.angular[:] = speed
+        made.reset()
+        for _ in range(2):
+            made.see(None, np.zeros(6), np.zeros(3), TARGET, None)
+            estimate = controller.arrays()["wrench"] - body.wrench(scene, TARGET, np.zeros(3))
+            assert_allclose(estimate, 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize(("joints", "rest", "wrench"), [(3, 1, 0), (1, 3, 0), (1, 1, 2)])
+@pytest.mark.parametrize("allowed", [2.5, 3.5])
+def test_the_controller_knows_how_late_its_sensors_are(joints, rest, wrench, allowed):
+    """One of joints, contacts and wrench is three ticks old."""
+    scene, _ = scene_alone()
+    sensors, settings = core.SensorSettings(), core.HandControllerSettings()
+    sensors.tick = TICK
+    sensors.joint_delay, sensors.delay, sensors.wrench_delay = joints, rest, wrench
+    settings.stale = settings.stale_wrench = allowed * TICK
+    made, controller = hand_alone(scene, settings=settings, sensors=sensors)
+    made.reset()
+    look(made, np.zeros(6), np.zeros(15))
+    controller.hold = core.Hold.place
+    controller.act(False, None, None, None)
+    assert controller.status == ("given" if allowed > 3.0 else "released")

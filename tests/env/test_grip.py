@@ -215,6 +215,38 @@ def test_near_the_limit_of_balance_forces_stay_moderate():
         assert total <= 5.0 * (before + load / (0.8 * FRICTION)) + 1.0
 
 
+@pytest.mark.parametrize("moment", [0.0, 0.05])
+def test_a_single_finger_does_not_stop_an_object_from_turning(moment):
+    """It holds what pushes straight against it, alone."""
+    bench = Bench()
+    bench.state.touching[1:] = 0.0
+    push = -2.0 * GRASP.normals[0]
+    bench.state.wrench[:] = *push, *np.cross(GRASP.positions[0], push)
+    bench.state.wrench[4] += moment
+    bench.controller.activate(bench.state)
+    bench.run(5)
+    assert bench.controller.status == ("slipping" if moment else "holding")
+
+
+def test_a_preload_counts_where_nothing_balances():
+    """Forces with a preload are those of the load with it, besides it."""
+    forces = []
+    pushes = np.column_stack([GRASP.normals, np.cross(GRASP.positions, GRASP.normals)])
+    for preload in (0.0, 0.7):
+        bench = Bench(preload=preload, grip_stiffness=0.0, grip_damping=0.0)
+        bench.state.touching[0] = 0.0  # three fingers of one side
+        bench.state.wrench[:] = 0.1, -0.5, -0.3, 0.0, 0.01, 0.02
+        if not preload:
+            bench.state.wrench[:] += 0.7 * pushes[1:].sum(axis=0)
+        bench.controller.activate(bench.state)
+        bench.run(30)
+        assert bench.controller.status == "slipping"
+        forces.append(bench.controller.force[1:] - [preload, 0.0, 0.0])
+    assert np.abs(forces[0]).max() > 1e-2
+    # two solves to 1e-4
+    assert_allclose(forces[1], forces[0], atol=1e-3 * np.abs(forces[0]).max())
+
+
 def test_springs_leave_the_motors_to_the_balanced_part():
     """Weak motors: with springs that take all they have, the forces still balance the wrench as
     well as without springs."""
@@ -228,6 +260,144 @@ def test_springs_leave_the_motors_to_the_balanced_part():
     assert (np.abs(bench.controller.torques) <= limits + 1e-12).all()
     assert most < limits.min()
     assert GRASP.residual(bench.arrays["optimal"], bench.state.wrench) < 1e-7
+
+
+def needed(bench: Bench, share: float = 0.8) -> np.ndarray:
+    """Normal force (N,) [N] that keeps the springs inside the cones within the margin."""
+    spring = bench.controller.force - bench.arrays["optimal"]
+    return np.hypot(spring[:, 1], spring[:, 2]) / (share * FRICTION) - spring[:, 0]
+
+
+def test_a_short_pull_hardly_raises_the_preload():
+    """Springs are filtered within 0.03 s: an update counts as 1/31."""
+    bench = Bench()
+    bench.state.target[:3] = 0.0, 3e-4, 0.0
+    bench.run()
+    assert (needed(bench) > 0.3).any()
+    # the same few sums and products
+    expected = np.maximum(needed(bench), 0.0) * PERIOD / (PERIOD + 0.03)
+    assert_allclose(bench.arrays["preload"], expected, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("given", [1.0, 2.0])
+def test_a_preload_that_carries_the_springs_is_enough(given):
+    """It is the larger of what is given and what the springs need."""
+    bench = Bench(preload=given)
+    bench.state.target[:3] = 0.0, 3e-4, 0.0
+    bench.run(300)
+    need = needed(bench)
+    assert ((need > 1.1) & (need < 1.9)).all()
+    # the springs settle within 1 s, the filter is 0.03 s behind: 3 % of them
+    assert_allclose(bench.arrays["preload"], np.maximum(given, need), rtol=0.04)
+
+
+def test_a_finger_that_lands_has_forgotten_its_springs():
+    bench = Bench(preload=0.1)
+    bench.state.target[:3] = 0.0, 5e-4, 0.0
+    bench.run(300)
+    assert (bench.arrays["preload"] > 0.2).all()
+    bench.state.touching[3] = 0.0
+    bench.run(10)
+    bench.state.target[:3] = 0.0
+    bench.state.touching[3] = 1.0
+    bench.run()
+    assert bench.arrays["preload"][3] == pytest.approx(0.1)
+
+
+def test_a_finger_without_contact_has_no_spring():
+    """It still counts for two updates more."""
+    bench = Bench()
+    bench.state.target[:3] = 0.0, 3e-4, 0.0
+    bench.run()
+    assert np.linalg.norm(bench.springs, axis=1).min() > 0.1
+    bench.state.touching[3] = 0.0
+    bench.run()
+    assert bench.controller.mask == 0b1111
+    assert_allclose(bench.springs[3], 0.0, atol=1e-12)
+    assert np.linalg.norm(bench.springs[:3], axis=1).min() > 0.1
+
+
+def test_taking_hold_makes_places_of_where_the_tips_are():
+    """The springs of an object that has moved against the hand are at rest again."""
+    bench = Bench(grip_damping=0.0)
+    bench.state.object[:3] = 0.0, 3e-4, 1e-4
+    bench.state.target[:3] = 0.0, 6e-4, 2e-4
+    bench.run()
+    pulled = bench.springs
+    assert np.linalg.norm(pulled, axis=1).min() > 0.1
+    bench.state.target[:3] = bench.state.object[:3]
+    bench.run()
+    assert np.linalg.norm(bench.springs, axis=1).min() > 0.1
+    bench.controller.take_hold()
+    bench.run()
+    assert_allclose(bench.springs, 0.0, atol=1e-9)
+
+
+def test_a_pose_that_is_wrong_once_hardly_moves_the_places():
+    """The object seems to be 0.5 m away for an update: places follow by 5 mm within 1 s, 5 um."""
+    bench = Bench(grip_damping=0.0)
+    for part in (bench.state.object, bench.state.target):
+        part[:3] = 0.0, 0.3, -0.4
+    bench.run()
+    for part in (bench.state.object, bench.state.target):
+        part[:3] = 0.0
+    bench.run()
+    pulls = np.linalg.norm(bench.springs, axis=1)
+    # a thousandth of what is wrong has settled; others lose what pulls them from the object
+    expected = stiffness(bench, 1500.0) * 5e-3 * PERIOD / (PERIOD + 1.0)
+    assert (pulls <= expected * (1.0 + 1e-6)).all()
+    assert pulls.max() > 0.99 * expected.min()
+
+
+@pytest.mark.parametrize("angle", [0.0, 1.0])
+def test_a_turned_target_pulls_the_tips_around_it(angle):
+    """The object is turned by an angle as a whole, the target by 2 mrad more; a tip that turns
+    against it would roll."""
+    bench = Bench(grip_damping=0.0)
+    whole = Rotation.from_rotvec([0.3 * angle, -angle, 0.6 * angle])
+    bench.state.object[3:7] = bench.state.target[3:7] = whole.as_quat()
+    bench.controller.activate(bench.state)
+    bench.run()
+    assert_allclose(bench.springs, 0.0, atol=1e-9)
+    more = np.array([0.0, 1e-3, 2e-3])
+    bench.state.target[3:7] = (Rotation.from_rotvec(more) * whole).as_quat()
+    bench.run()
+    tips = bench.kinematics.tips(bench.kinematics.home)
+    radius = bench.kinematics.hand.fingertips[0].radius
+    normals = whole.apply(GRASP.normals.copy())
+    way = np.cross(more, tips) - radius * np.cross(normals, more)
+    expected = whole.inv().apply(stiffness(bench, 1500.0)[:, None] * way)
+    pushed = np.einsum("ni,ni->n", expected, GRASP.normals) > 0.0
+    assert pushed.any()
+    # second order in the angle: 1500 N/m, 0.2 m, 4e-6
+    assert_allclose(bench.springs[pushed], expected[pushed], atol=2e-3)
+    assert np.linalg.norm(expected[pushed], axis=1).max() > 0.1
+
+
+def test_damping_acts_on_the_turning_of_the_target():
+    bench = Bench(grip_stiffness=0.0, grip_damping=1.0)
+    bench.state.target[10:13] = 0.1, -0.2, 0.3
+    bench.run()
+    expected = np.cross(bench.state.target[10:13], bench.kinematics.tips(bench.kinematics.home))
+    pushed = np.einsum("ni,ni->n", expected, GRASP.normals) >= 0.0
+    assert pushed.any()
+    # sums and products of three numbers
+    assert_allclose(bench.springs[pushed], expected[pushed], rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("preload", [1.0, 2.0])
+def test_a_finger_that_lands_does_not_shake_the_others(preload):
+    """It begins with 0.13 N, its first preload and 0.01 N of friction. Forces change by 0.1 N in an
+    update and by what balances those, with levers of up to three."""
+    bench = Bench(preload=preload, force_rate=100.0, grip_stiffness=0.0, grip_damping=0.0)
+    bench.state.touching[3] = 0.0
+    bench.run(300)
+    bench.state.touching[3] = 1.0
+    for _ in range(30):
+        before = bench.controller.force.copy()
+        bench.run()
+        assert np.abs(bench.controller.force - before).max() < 0.1 + 3.0 * 0.13
+        assert bench.controller.status == "holding"
 
 
 def test_a_controller_is_configured_once():

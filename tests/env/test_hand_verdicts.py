@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -423,6 +424,90 @@ def test_a_state_of_another_hand_with_as_many_numbers_is_refused():
         controller.activate(other)
 
 
+def test_a_hand_that_begins_with_old_messages_carries_itself():
+    """It has never known its contacts: there is nothing to keep for a while."""
+    controller, state = made(damping=0.01)
+    state.gravity[:] = 0.0, -9.81, 0.0
+    state.rates[:] = 0.5
+    state.ages[1] = 1.0
+    controller.activate(state)
+    updated(controller, state)
+    assert controller.status == "released"
+    _, weight = KINEMATICS.statics(state.angles, GRASP.positions, state.gravity)
+    assert_allclose(controller.torques, weight, atol=1e-12)
+
+
+@pytest.mark.parametrize("soft", [0.0, 0.01])
+def test_told_forces_fade_with_the_commanded_ones(soft):
+    """Half of them after the grace and half of the fade; they use the same share of friction."""
+    controller, state = made(torsional_friction=soft, **NO_SPRINGS)
+    state.wrench[3:] = 0.02, 0.0, 0.03
+    updated(controller, state, 50)
+    held, used = controller.force.copy(), controller.friction_used.copy()
+    alone = np.hypot(held[:, 1], held[:, 2]) / (FRICTION * held[:, 0])
+    assert (used >= alone - 1e-12).all()
+    assert (used > alone + 1e-3).any() == (soft > 0.0)
+    state.ages[0] = 1.0
+    updated(controller, state, 200)
+    # rounding of 200 periods
+    assert_allclose(controller.force, 0.5 * held, atol=1e-9)
+    assert_allclose(controller.friction_used, used, atol=1e-9)
+
+
+def test_each_loss_of_contact_counts_by_itself():
+    """A finger that touches in between has its two updates again."""
+    controller, state = made(release=2)
+    updated(controller, state, 5)
+    for touching in (0.0, 0.0, 1.0, 0.0, 0.0, 1.0):
+        state.touching[1] = touching
+        updated(controller, state)
+        assert controller.mask == 0b1111
+    assert controller.changes == 0
+
+
+def test_an_age_that_is_no_number_makes_a_message_that_is_ignored():
+    controller, state = made(**NO_SPRINGS)
+    held = updated(controller, state, 20)
+    for part in range(3):
+        state.ages[:] = 0.0
+        state.ages[part] = np.nan
+        state.wrench[1] = -5.0
+        assert_array_equal(updated(controller, state), held)
+        assert controller.status == "holding"
+        with pytest.raises(InvalidInputError):
+            HandController.activate(controller, state)
+        state.ages[part], state.wrench[1] = 0.0, -2.0
+        controller.activate(state)
+        held = updated(controller, state, 20)
+
+
+def test_updates_after_a_missed_deadline_are_counted():
+    """Those later than 1.9 periods; a new life begins from zero."""
+    controller, state = made(budget=0.0)
+    for periods, late in ((1.0, 0), (1.8, 0), (2.0, 1), (0.0, 1), (-1.0, 1), (3.0, 2)):
+        controller.update(state, periods * PERIOD)
+        assert controller.late == late
+    state.touching[0] = 0.0
+    updated(controller, state, 5)
+    assert (controller.changes, controller.over_budget) == (1, 11)
+    assert controller.peak > 0.0
+    controller.activate(state)
+    assert (controller.late, controller.changes, controller.over_budget) == (0, 0, 0)
+    assert controller.peak == 0.0
+
+
+def test_after_a_missed_deadline_torques_go_two_periods_of_their_way():
+    controller, state = made(torque_rate=0.1, **NO_SPRINGS)
+    limits = np.array(KINEMATICS.torque_limits)
+    for periods, counted in ((1.0, 1.0), (2.0, 2.0), (100.0, 2.0), (0.5, 0.5)):
+        before = controller.torques.copy()
+        controller.update(state, periods * PERIOD)
+        assert controller.rising
+        moved = np.abs(controller.torques - before) / limits
+        # differences of numbers below 1
+        assert moved.max() == pytest.approx(0.1 * counted * PERIOD, rel=1e-9)
+
+
 # --- commands
 
 
@@ -455,6 +540,30 @@ def test_without_a_calibration_commands_are_torques():
     assert np.abs(commands).max() > 0.01
     losses = Calibration.newton_metres(hand, friction=np.full(16, 0.05))
     assert_allclose(losses.to_units(np.full(16, 0.1), np.ones(16)), 0.15)
+
+
+def test_commands_are_multiples_of_the_resolution():
+    limits = np.ones(JOINTS)
+    table = np.column_stack([-limits, limits])
+    rough = Calibration(table, 100.0 * table, resolution=4.0)
+    torques = np.linspace(-0.9, 0.9, JOINTS)
+    # half a step may go either way
+    assert_allclose(rough.to_units(torques), 100.0 * torques, atol=2.0 + 1e-9)
+    assert not (rough.to_units(torques) % 4.0).any()
+
+
+def test_a_dead_band_goes_the_way_of_descending_units():
+    turned = Calibration([[-1.0, 1.0]], [[100.0, -100.0]], dead_band=[20.0])
+    for torque, units in ((0.5, -70), (-0.5, 70), (0.9, -100)):
+        assert turned.to_units([torque]).tolist() == [units]
+
+
+def test_a_joint_without_limit_has_none():
+    """Its table ends at 1e6 N m; it has no limit of its own."""
+    hand = HandDescription.four_finger()
+    links = tuple(replace(link, torque_limit=1e7) for link in hand.links)
+    free = Calibration.newton_metres(replace(hand, links=links))
+    assert np.isinf(free.limits).all()
 
 
 @pytest.mark.parametrize(

@@ -382,3 +382,74 @@ def test_squeezes_are_internal_and_balanced(fingers):
         # 1e-9 of the largest entry stands on the diagonal of the system
         assert_allclose(force[here].reshape(-1), expected, atol=1e-4)
         assert not force[np.array(fingers) == 0].any()
+
+
+@pytest.mark.parametrize("fingers", [(1, 0, 0, 0), (0, 1, 1, 1)])
+def test_a_squeeze_of_fingers_without_internal_force_presses_inwards(fingers):
+    """Equally, as far as these contacts can then balance."""
+    loop = Loop(squeeze=20.0)
+    loop.core.hold = core.Hold.squeeze
+    here = np.flatnonzero(fingers)
+    loop.place(GRASP.positions, GRASP.normals, fingers)
+    while not loop.sees(fingers):
+        force = loop.tick(0.1 * PAPER_WRENCH, True)
+    assert loop.core.status == "given"
+    matrix = loop.grasp.matrix.reshape(6, 4, 3)[:, here].reshape(6, -1)
+    given = np.tile([20.0 / len(here), 0.0, 0.0], len(here))
+    expected = given - np.linalg.pinv(matrix) @ (matrix @ given + 0.1 * PAPER_WRENCH)
+    # 1e-9 of the largest entry stands on the diagonal of the system
+    assert_allclose(force[here].reshape(-1), expected, atol=1e-4)
+
+
+def test_soft_forces_on_their_way_balance():
+    """Torsions go the same share of their way as forces; they are what torques leave."""
+    loop = Loop(method="newton", grasp=SOFT, most_change=0.05)
+    jacobian, carried = loop.scatter(GRASP.positions, np.random.default_rng(2))
+    twisted = PAPER_WRENCH + 0.1 * np.eye(6)[5]
+    loop.tick(twisted, True)
+    largest = 0.0
+    for wrench in (PAPER_WRENCH, PAPER_WRENCH - (twisted - PAPER_WRENCH)):
+        for _ in range(20):
+            force = loop.tick(wrench, False)
+            pushes = np.einsum("nij,nj->ni", loop.grasp.frames, force)
+            rest = loop.torques - carried - np.einsum("nrj,nr->j", jacobian[:, :3], pushes)
+            turns = np.einsum("nrj,nr->jn", jacobian[:, 3:], GRASP.normals)
+            torsion, *_ = np.linalg.lstsq(turns, rest, rcond=None)
+            assert_allclose(turns @ torsion, rest, atol=1e-9)
+            moment = np.cross(GRASP.positions, pushes).sum(axis=0) + torsion @ GRASP.normals
+            # the last command is balanced to 1e-9 of it
+            assert_allclose(pushes.sum(axis=0), -wrench[:3], atol=1e-6)
+            assert_allclose(moment, -wrench[3:], atol=1e-7)
+            largest = max(largest, np.abs(torsion).max())
+    assert largest > 1e-3
+
+
+def test_the_fastest_touching_tip_slips():
+    loop = Loop()
+    for slip, touching, most in (
+        ((0.1, 0.4, 0.2, 0.3), (1, 1, 1, 1), 0.4),
+        ((0.1, 0.4, 0.2, 0.3), (1, 0, 1, 0), 0.2),
+        ((0.1, 0.4, 0.2, 0.3), (0, 0, 0, 0), 0.0),
+    ):
+        loop.views.slip[:] = slip
+        loop.place(GRASP.positions, GRASP.normals, touching)
+        loop.tick(PAPER_WRENCH, True)
+        found = loop.hand.outcome(TARGET, np.empty(12), np.empty((4, 3)))
+        assert found.slip == most
+
+
+def test_a_push_that_carries_the_object_hides_no_stray_force():
+    """Stray forces are relative to the weight at least, and to a larger load."""
+    scene, views = scene_alone()
+    body = core.Body()
+    body.mass = 0.2
+    hand, _ = hand_alone(scene, 4, body=body)
+    weight = 0.2 * 9.81
+    views.stray[0] = 1.0
+    for push, load in ((0.0, weight), (weight, weight), (-weight, 2.0 * weight)):
+        hand.reset()
+        views.stray[0] = 1.0
+        hand.see(None, np.array([0.0, push, 0.0, 0.0, 0.0, 0.0]), STILL, TARGET, None)
+        found = hand.outcome(TARGET, np.empty(12), np.empty((4, 3)))
+        assert found.stray == 1.0
+        assert found.stray_share == pytest.approx(1.0 / load)

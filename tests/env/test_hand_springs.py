@@ -1,0 +1,226 @@
+"""Springs of free fingers and joints, and what motors and cones leave of the springs and of slow
+changes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hands import kinematics_alone
+from numpy.testing import assert_allclose
+from scipy.linalg import null_space
+from scipy.spatial.transform import Rotation
+
+from grasp_env import core
+from grasp_env.control import Calibration, HandController, HandControllerSettings, HandState
+from grasp_env.grasp import presets
+from grasp_env.sim import HandDescription, HandKinematics
+
+PERIOD = 1e-3
+GRASP = presets.paper_cuboid()
+KINEMATICS = kinematics_alone()
+HOME = np.array(KINEMATICS.home)
+JOINTS = len(HOME)
+NO_POSTURE = {"posture_stiffness": 0.0, "posture_damping": 0.0}
+NO_SPRINGS = {"grip_stiffness": 0.0, "grip_damping": 0.0, **NO_POSTURE}
+FAST = {"torque_rate": 1e6, "friction": float(np.ravel(GRASP.friction)[0])}
+
+
+def made(
+    limits: np.ndarray | None = None, hand: HandDescription = KINEMATICS.hand, **settings: Any
+) -> tuple[HandController, HandState]:
+    """A controller, by default of strong motors, and a state in which it holds 2 N."""
+    controller = HandController()
+    table = None
+    if limits is not None:
+        ends = np.column_stack([-limits, limits])
+        table = Calibration(ends, ends, resolution=0.0)
+    controller.configure(hand, HandControllerSettings(**{**FAST, **settings}), table)
+    state = controller.new_state()
+    state.angles = HOME.copy()
+    state.touching[:] = 1.0
+    state.positions[:] = GRASP.positions
+    state.normals[:] = GRASP.normals
+    state.wrench[1] = -2.0
+    controller.activate(state)
+    return controller, state
+
+
+def updated(controller: HandController, state: HandState, count: int = 1) -> None:
+    for _ in range(count):
+        controller.update(state, PERIOD)
+
+
+@pytest.mark.parametrize("soft", [0.0, 0.03])
+def test_springs_of_weak_motors_have_what_forces_leave(soft):
+    """Motors that can just balance a load do so, whatever the springs want. The springs stay whole
+    where other forces make room for them; else motors and cones, torsion included, limit them."""
+    whole = cut = 0
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        load = rng.standard_normal(6) * np.repeat([1.0, 0.03], 3) + [0, -2, 0, 0, 0, 0]
+        target = rng.standard_normal(3) * rng.choice([2e-4, 3e-3])
+        plain, state = made(torsional_friction=soft, **NO_SPRINGS)
+        state.wrench[:] = load
+        updated(plain, state, 30)
+        assert plain.status == "holding"
+        weak = 1.05 * np.abs(plain.torques).max()
+        pulls, torques = [], []
+        for limits in (None, weak * np.ones(JOINTS)):
+            controller, state = made(limits, torsional_friction=soft, **NO_POSTURE)
+            state.wrench[:] = load
+            updated(controller, state, 30)
+            state.target[:3] = target
+            updated(controller, state, 3)
+            assert controller.status == "holding"
+            pulls.append(controller.force - controller.arrays()["optimal"])
+            torques.append(np.abs(controller.torques).max())
+        assert torques[1] <= weak * (1.0 + 1e-9)
+        # sums of a dozen products
+        if np.abs(pulls[1] - pulls[0]).max() < 1e-9:
+            whole += torques[0] > weak
+        else:
+            cut += 1
+            assert (controller.friction_used <= 0.75 + 1e-6).all()
+    assert whole > 0
+    assert cut > 10
+
+
+def test_slow_forces_do_not_overload_motors_that_can_balance():
+    """Where forces that change by 1 mN in an update would need more than the motors give, they
+    change faster."""
+    plain, state = made(**NO_SPRINGS)
+    updated(plain, state, 50)
+    limits = 1.2 * np.abs(plain.torques).max() * np.ones(JOINTS)
+    faster = 0
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        slow, state = made(limits, force_rate=1.0, **NO_SPRINGS)
+        load = state.wrench.copy()
+        updated(slow, state, 5)
+        before = slow.force.copy()
+        state.wrench[:] = load + rng.standard_normal(6) * np.repeat([1.0, 0.02], 3)
+        updated(slow, state)
+        fresh, _ = made(limits, **NO_SPRINGS)
+        updated(fresh, state, 50)
+        if fresh.status != "holding":
+            continue
+        assert slow.status == "holding"
+        least = np.linalg.pinv(GRASP.matrix) @ (state.wrench - load)
+        faster += np.abs(slow.force - before).max() > 1e-2 + np.abs(least).max()
+    assert faster > 3
+
+
+def posture_alone(hand: HandDescription, angles: np.ndarray, touching: np.ndarray) -> np.ndarray:
+    """Torques (M,) of the springs of the posture: with them, less without."""
+    out = []
+    for stiffness in (1e-3, 0.0):
+        controller = HandController()
+        options = {**FAST, **NO_SPRINGS, "posture_stiffness": stiffness, "reach_limit": 0.0}
+        controller.configure(hand, HandControllerSettings(**options))
+        state = controller.new_state()
+        kinematics = HandKinematics(hand)
+        state.angles = np.array(hand.home)
+        state.touching[:] = touching
+        tips = kinematics.tips(state.angles)
+        inward = np.mean(tips, axis=0) - tips
+        state.normals[:] = inward / np.linalg.norm(inward, axis=1)[:, None]
+        state.positions[:] = tips + 0.01 * state.normals
+        controller.activate(state)
+        state.angles = angles
+        updated(controller, state, 2)
+        out.append(controller.torques.copy())
+    return out[0] - out[1]
+
+
+def test_the_posture_of_touching_fingers_is_kept_without_rolling():
+    """Joints move without moving the contact points: the springs of 1e-3 N m/rad draw them back, and
+    30 times as stiff ones turn back the last links."""
+    hand = HandDescription.allegro()
+    kinematics = HandKinematics(hand)
+    home = np.array(hand.home)
+    tips = kinematics.tips(home)
+    inward = np.mean(tips, axis=0) - tips
+    touch = tips + 0.01 * inward / np.linalg.norm(inward, axis=1)[:, None]
+    moves = np.concatenate([kinematics.jacobian(home, k, touch[k]) for k in range(4)])
+    free = null_space(moves)
+    assert free.shape == (16, 4)
+    frames, _ = kinematics.links(home)
+    for way in free.T:
+        step = 1e-4 * way
+        torques = posture_alone(hand, home + step, np.ones(4))
+        turned, _ = kinematics.links(home + step)
+        square = 0.0
+        for link in kinematics.tip_links:
+            turn = Rotation.from_matrix(turned[link] @ frames[link].T).as_rotvec()
+            square += turn @ turn
+        expected = -1e-3 * (step @ step + 30.0 * square)
+        # the contact points move in second order
+        assert step @ torques == pytest.approx(expected, rel=1e-2)
+        assert_allclose(moves @ torques, 0.0, atol=1e-3 * np.abs(torques).max())
+
+
+def test_joints_are_drawn_back_from_their_ends():
+    """Within 0.2 rad of an end, 100 times as stiff as towards the home posture, and without moving
+    the tips."""
+    hand = HandDescription.allegro()
+    kinematics = HandKinematics(hand)
+    home = np.array(hand.home)
+    lower, upper = np.array(kinematics.lower), np.array(kinematics.upper)
+    angles = home.copy()
+    angles[[1, 6]] = upper[1] - 0.05, lower[6] + 0.08
+    room = np.minimum(0.2, 0.25 * (upper - lower))
+    beyond = np.clip(angles, lower + room, upper - room) - angles
+    assert np.count_nonzero(beyond) >= 2
+    pull = 1e-3 * (home - angles + 100.0 * beyond)
+    moves = np.concatenate([kinematics.jacobian(angles, k) for k in range(4)])
+    free = null_space(moves)
+    torques = posture_alone(hand, angles, np.zeros(4))
+    # 1e-10 m^2 stands on the diagonal of the system, whose numbers are about 1e-3 m^2
+    assert_allclose(torques, free @ (free.T @ pull), atol=1e-4 * np.abs(pull).max())
+
+
+@pytest.mark.parametrize(("late", "heavy"), [(0.0, 1.0), (0.0, 10.0), (0.01, 1.0), (0.2, 10.0)])
+def test_a_reaching_finger_is_critically_damped_as_far_as_delays_allow(late, heavy):
+    """For tips of at least 30 g; the sampled damper stays below mass / time."""
+    hand = KINEMATICS.hand
+    links = [
+        replace(link, mass=heavy * link.mass, inertia=tuple(heavy * np.array(link.inertia)))
+        for link in hand.links
+    ]
+    hand = replace(hand, links=tuple(links))
+    controller, state = made(hand=hand, joint_delay=late, reach_limit=1e3, **NO_POSTURE)
+    updated(controller, state, 5)
+    state.touching[0] = 0.0
+    updated(controller, state, 5)
+    own = KINEMATICS.carries[0]
+    jacobian = KINEMATICS.jacobian(state.angles, 0)[:, own]
+    before = controller.torques[own].copy()
+    speed = np.array([1e-3, -2e-3, 3e-3])
+    state.rates[own] = np.linalg.solve(jacobian, speed)
+    updated(controller, state)
+    force = np.linalg.solve(jacobian.T, controller.torques[own] - before)
+    mass = 1.0 / HandKinematics(hand).mobility(HOME)[0][0]
+    assert (mass > 0.03) == (heavy > 1.0)
+    wanted = 2.0 * np.sqrt(60.0 * max(0.03, mass))
+    stable = mass / (PERIOD + late)
+    assert (stable < wanted) == (late > 0.0)
+    # differences of torques of 1 N m, and sums of a dozen products
+    assert_allclose(force, -min(wanted, stable) * speed, rtol=1e-6)
+
+
+def test_fingers_that_hold_their_places_squeeze():
+    """Tips that touch are 12.5 mm before their places: 10 N of the 40 N each by 800 N/m."""
+    controller, state = made()
+    tips = KINEMATICS.tips(HOME)
+    state.positions[:] = tips + KINEMATICS.hand.fingertips[0].radius * GRASP.normals
+    controller.activate(state)
+    controller.hold = core.Hold.place
+    updated(controller, state)
+    expected = np.zeros(JOINTS)
+    for finger in range(4):
+        expected += KINEMATICS.jacobian(HOME, finger).T @ (10.0 * GRASP.normals[finger])
+    # sums of a dozen products
+    assert_allclose(controller.torques, expected, atol=1e-9)
