@@ -247,6 +247,16 @@ def test_a_preload_counts_where_nothing_balances():
     assert_allclose(forces[1], forces[0], atol=1e-3 * np.abs(forces[0]).max())
 
 
+@pytest.mark.parametrize("friction", [0.05, 0.1, 0.2])
+def test_smooth_objects_get_the_normal_force_that_they_need(friction):
+    """At once: the limit of moderate forces grows as the friction falls."""
+    bench = Bench(friction=friction, grip_stiffness=0.0, grip_damping=0.0, force_rate=1e6)
+    assert bench.controller.status == "holding"
+    assert GRASP.residual(bench.controller.force, bench.state.wrench) < 1e-8
+    # sides carry 2 N with a share of 0.8 of the friction
+    assert bench.controller.force[:, 0].sum() >= 2.0 / (0.8 * friction) - 1e-6
+
+
 def test_springs_leave_the_motors_to_the_balanced_part():
     """Weak motors: with springs that take all they have, the forces still balance the wrench as
     well as without springs."""
@@ -383,6 +393,22 @@ def test_damping_acts_on_the_turning_of_the_target():
     assert pushed.any()
     # sums and products of three numbers
     assert_allclose(bench.springs[pushed], expected[pushed], rtol=1e-9, atol=1e-12)
+
+
+def test_contacts_that_come_and_go_leave_the_places_of_the_others():
+    """Not all of them begin anew where an object is that has moved against the hand."""
+    bench = Bench(grip_damping=0.0, force_rate=1e6)
+    bench.state.object[:3] = 0.0, -3e-4, 0.0
+    bench.state.target[:3] = 0.0, 3e-4, 0.0
+    bench.run()
+    before = bench.springs[:3]
+    assert np.linalg.norm(before, axis=1).min() > 0.1
+    for touching in (0.0, 1.0):
+        bench.state.touching[3] = touching
+        bench.run(5)
+        # places settle within 1 s: 0.5 % in 5 updates
+        assert_allclose(bench.springs[:3], before, rtol=0.012, atol=1e-9)
+    assert bench.controller.changes == 2
 
 
 @pytest.mark.parametrize("preload", [1.0, 2.0])

@@ -88,6 +88,26 @@ def test_springs_of_weak_motors_have_what_forces_leave(soft):
     assert cut > 10
 
 
+def test_springs_of_overloaded_motors_never_push_back():
+    """Where forces take more than all of a motor, no share of the springs is left, and no less."""
+    left = 0
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        target = 1e-3 * rng.standard_normal(3)
+        weak = rng.uniform(0.02, 0.3, JOINTS)
+        pulls = []
+        for limits in (None, weak):
+            controller, state = made(limits, **NO_POSTURE)
+            updated(controller, state, 30)
+            state.target[:3] = target
+            updated(controller, state)
+            pulls.append((controller.force - controller.arrays()["optimal"]).ravel())
+        if controller.status == "overloaded":
+            assert pulls[1] @ pulls[0] >= -1e-12
+            left += not pulls[1].any()
+    assert left > 3
+
+
 def test_slow_forces_do_not_overload_motors_that_can_balance():
     """Where forces that change by 1 mN in an update would need more than the motors give, they
     change faster."""
@@ -113,15 +133,17 @@ def test_slow_forces_do_not_overload_motors_that_can_balance():
     assert faster > 3
 
 
-def posture_alone(hand: HandDescription, angles: np.ndarray, touching: np.ndarray) -> np.ndarray:
+def posture_alone(
+    hand: HandDescription, angles: np.ndarray, touching: np.ndarray, rates: np.ndarray | float = 0.0
+) -> np.ndarray:
     """Torques (M,) of the springs of the posture: with them, less without."""
     out = []
+    kinematics = HandKinematics(hand)
     for stiffness in (1e-3, 0.0):
         controller = HandController()
         options = {**FAST, **NO_SPRINGS, "posture_stiffness": stiffness, "reach_limit": 0.0}
         controller.configure(hand, HandControllerSettings(**options))
         state = controller.new_state()
-        kinematics = HandKinematics(hand)
         state.angles = np.array(hand.home)
         state.touching[:] = touching
         tips = kinematics.tips(state.angles)
@@ -130,6 +152,7 @@ def posture_alone(hand: HandDescription, angles: np.ndarray, touching: np.ndarra
         state.positions[:] = tips + 0.01 * state.normals
         controller.activate(state)
         state.angles = angles
+        state.rates[:] = rates
         updated(controller, state, 2)
         out.append(controller.torques.copy())
     return out[0] - out[1]
@@ -182,6 +205,21 @@ def test_joints_are_drawn_back_from_their_ends():
     assert_allclose(torques, free @ (free.T @ pull), atol=1e-4 * np.abs(pull).max())
 
 
+def test_free_joints_are_critically_damped():
+    """Each by its own inertia, under a spring of 1e-3 N m/rad, without moving the tips."""
+    hand = HandDescription.allegro()
+    kinematics = HandKinematics(hand)
+    home = np.array(hand.home)
+    rates = np.random.default_rng(0).standard_normal(16)
+    inertia = 1.0 / kinematics.mobility(home)[1]
+    assert (2.0 * np.sqrt(1e-3 * inertia) < inertia / PERIOD).all()
+    free = null_space(np.concatenate([kinematics.jacobian(home, k) for k in range(4)]))
+    pull = -2.0 * np.sqrt(1e-3 * inertia) * rates
+    torques = posture_alone(hand, home, np.zeros(4), rates)
+    # 1e-10 m^2 stands on the diagonal of the system, whose numbers are about 1e-3 m^2
+    assert_allclose(torques, free @ (free.T @ pull), atol=1e-4 * np.abs(pull).max())
+
+
 @pytest.mark.parametrize(("late", "heavy"), [(0.0, 1.0), (0.0, 10.0), (0.01, 1.0), (0.2, 10.0)])
 def test_a_reaching_finger_is_critically_damped_as_far_as_delays_allow(late, heavy):
     """For tips of at least 30 g; the sampled damper stays below mass / time."""
@@ -211,16 +249,50 @@ def test_a_reaching_finger_is_critically_damped_as_far_as_delays_allow(late, hea
     assert_allclose(force, -min(wanted, stable) * speed, rtol=1e-6)
 
 
-def test_fingers_that_hold_their_places_squeeze():
-    """Tips that touch are 12.5 mm before their places: 10 N of the 40 N each by 800 N/m."""
+@pytest.mark.parametrize("way", [(0.0, 0.0, 0.0), (1e-3, -2e-3, 3e-3)])
+@pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0), (0.02, -0.01, 0.03)])
+def test_fingers_that_hold_their_places_squeeze(way, turn):
+    """Places are on the target, 12.5 mm behind tips that touch: 10 N of the 40 N each by 800
+    N/m."""
     controller, state = made()
     tips = KINEMATICS.tips(HOME)
     state.positions[:] = tips + KINEMATICS.hand.fingertips[0].radius * GRASP.normals
     controller.activate(state)
     controller.hold = core.Hold.place
+    rotation = Rotation.from_rotvec(turn)
+    state.target[:3], state.target[3:7] = way, rotation.as_quat()
     updated(controller, state)
+    places = rotation.apply(tips + 0.0125 * GRASP.normals) + way
     expected = np.zeros(JOINTS)
     for finger in range(4):
-        expected += KINEMATICS.jacobian(HOME, finger).T @ (10.0 * GRASP.normals[finger])
+        force = 800.0 * (places - tips)[finger]
+        expected += KINEMATICS.jacobian(HOME, finger).T @ force
     # sums of a dozen products
     assert_allclose(controller.torques, expected, atol=1e-9)
+
+
+def test_goals_that_are_given_stay():
+    """A finger that lands elsewhere still reaches for its goal; the others for where they landed."""
+    _, state = made()
+    controller = HandController()
+    controller.configure(KINEMATICS.hand, HandControllerSettings(**FAST))
+    goals = controller.arrays()["goals"]
+    goals[1] = 0.01, 0.02, 0.03
+    controller.arrays()["inwards"][1] = 0.0, 0.0, 1.0
+    controller.activate(state)
+    updated(controller, state, 5)
+    expected = GRASP.positions.copy()
+    expected[1] = 0.01, 0.02, 0.03
+    np.testing.assert_array_equal(goals, expected)
+
+
+@pytest.mark.parametrize("hold", [core.Hold.squeeze, core.Hold.place, core.Hold.direct])
+def test_only_optimal_forces_have_springs_of_the_grip(hold):
+    controller, state = made(**NO_POSTURE)
+    state.target[:3] = 0.0, 3e-4, 0.0
+    updated(controller, state)
+    grip = controller.arrays()["optimal"]
+    assert np.abs(controller.force - grip).max() > 0.1
+    controller.hold = hold
+    updated(controller, state)
+    assert_allclose(controller.force, grip, atol=1e-12)

@@ -437,6 +437,17 @@ def test_a_hand_that_begins_with_old_messages_carries_itself():
     assert_allclose(controller.torques, weight, atol=1e-12)
 
 
+def test_a_hand_without_contacts_and_messages_is_released():
+    """It has no forces to keep; one with contacts keeps them for a while."""
+    for touching, status in ((1.0, "coasting"), (0.0, "released")):
+        controller, state = made()
+        state.touching[:] = touching
+        updated(controller, state, 5)
+        state.ages[0] = 1.0
+        updated(controller, state)
+        assert controller.status == status
+
+
 @pytest.mark.parametrize("soft", [0.0, 0.01])
 def test_told_forces_fade_with_the_commanded_ones(soft):
     """Half of them after the grace and half of the fade; they use the same share of friction."""

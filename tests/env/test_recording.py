@@ -49,7 +49,7 @@ def weak(hand: HandDescription) -> Calibration:
     ends = np.outer(0.01 * np.array(hand.torque_limits), [-1.0, 0.0, 1.0])
     units = np.tile([-240.0, 10.0, 240.0], (hand.joint_count, 1))
     ones = np.ones(hand.joint_count)
-    return Calibration(ends, units, 1e-3 * ones, 5.0 * ones)
+    return Calibration(ends, units, 1e-3 * ones, 5.0 * ones, fade=2e-3, resolution=0.5)
 
 
 def made(

@@ -190,6 +190,15 @@ def test_contacts_are_planned_within_the_margin():
     assert np.abs(np.subtract(wide, narrow)).max() > 0.001
 
 
+def test_what_has_slid_before_an_episode_does_not_count():
+    env = FourFingerGrasp()
+    for _ in range(2):
+        assert env.reset(seed=0)[1]["slip_distance"] == 0.0
+        for _ in range(5):
+            assert env.step(np.zeros(6, np.float32))[4]["slip_distance"] > 0.0
+    env.close()
+
+
 def test_a_hand_is_placed_where_it_follows_a_motion():
     """From the first places a link would touch the cube, or the thumb does not reach it."""
     cube = {"shape": "cuboid", "size": (0.05, 0.05, 0.05)}

@@ -151,6 +151,21 @@ def test_mobility_is_the_largest_acceleration():
     assert np.linalg.eigvalsh(np.diag(1.0 / joints) - mass).max() <= 1e-12
 
 
+def test_mobility_is_that_of_the_motors_where_joints_are_coupled():
+    kinematics = HandKinematics(gripper(3, 3, coupled=True))
+    home = kinematics.home
+    motors = [joint for joint in range(9) if joint % 3 < 2]
+    tips, joints = kinematics.mobility(home)
+    mass = kinematics.mass_matrix(home)[np.ix_(motors, motors)]
+    for finger, most in enumerate(tips):
+        jacobian = kinematics.jacobian(home, finger)[:, motors]
+        assert most == pytest.approx(
+            np.linalg.norm(jacobian @ np.linalg.solve(mass, jacobian.T), 2)
+        )
+    assert not joints[2::3].any()
+    assert np.linalg.eigvalsh(np.diag(1.0 / joints[motors]) - mass).max() <= 1e-12
+
+
 @pytest.mark.parametrize("make", MAKERS.values(), ids=MAKERS)
 def test_solve_comes_back_to_reachable_tips(make):
     kinematics = HandKinematics(make())
