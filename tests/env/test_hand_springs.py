@@ -56,7 +56,7 @@ def updated(controller: HandController, state: HandState, count: int = 1) -> Non
 @pytest.mark.parametrize("soft", [0.0, 0.03])
 def test_springs_of_weak_motors_have_what_forces_leave(soft):
     """Motors that can just balance a load do so, whatever the springs want. The springs stay whole
-    where other forces make room for them; else motors and cones, torsion included, limit them."""
+    where other forces make room for them; else the motors limit them."""
     whole = cut = 0
     for seed in range(60):
         rng = np.random.default_rng(seed)
@@ -83,7 +83,6 @@ def test_springs_of_weak_motors_have_what_forces_leave(soft):
             whole += torques[0] > weak
         else:
             cut += 1
-            assert (controller.friction_used <= 0.75 + 1e-6).all()
     assert whole > 0
     assert cut > 10
 

@@ -175,20 +175,20 @@ def test_weak_motors_and_springs_do_not_chatter(seed):
         before = controller.force.copy()
 
 
-def test_springs_stay_inside_the_cones_where_no_force_within_the_margin_balances():
-    """Three fingers, a small share of the friction, and a target that is some millimetres off."""
+def test_springs_stay_inside_the_cones_where_forces_do_not_balance():
+    """Two fingers, a small share of the friction, and a target that is some millimetres off."""
     rng = np.random.default_rng(1)
     seen = 0
     for _ in range(40):
         controller, state = made(friction_margin=0.4, preload=0.0)
-        state.touching[3] = 0.0
-        state.wrench[:] = rng.standard_normal(6) * np.repeat([0.1, 0.002], 3)
+        state.touching[1:3] = 0.0
+        state.wrench[:] = rng.standard_normal(6) * np.repeat([0.3, 0.02], 3)
         controller.activate(state)
         state.target[:3] = rng.standard_normal(3) * 2e-3
         updated(controller, state, 300)
-        if controller.status in ("marginal", "slipping", "pivoting"):
+        if controller.status in ("slipping", "pivoting"):
             seen += 1
-            assert (controller.friction_used[:3] <= 1.0 + 1e-3).all()
+            assert (controller.friction_used[[0, 3]] <= 1.0 + 1e-3).all()
     assert seen > 5
 
 
@@ -272,8 +272,9 @@ def test_a_squeeze_presses_at_the_contacts_at_hand():
 # --- messages
 
 
-def test_a_finger_reaches_for_its_last_place():
-    """Each grasp has its own places, also in one life of a controller."""
+def test_a_finger_reaches_for_its_first_place():
+    """Each grasp has its own places, also in one life of a controller; a loss of contact does not
+    move them, or they would wander over the object."""
     controller, state = made()
     updated(controller, state, 20)
     controller.deactivate()
@@ -281,12 +282,13 @@ def test_a_finger_reaches_for_its_last_place():
     controller.activate(state)
     updated(controller, state, 20)
     assert_array_equal(controller.arrays()["goals"], state.positions)
+    first = state.positions.copy()
     state.touching[2] = 0.0
     updated(controller, state, 10)
     state.touching[2] = 1.0
     state.positions[2, 0] += 0.002
     updated(controller, state)
-    assert_array_equal(controller.arrays()["goals"], state.positions)
+    assert_array_equal(controller.arrays()["goals"], first)
 
 
 def test_a_recording_of_a_second_grasp_replays():

@@ -67,13 +67,13 @@ class GripForces {
   }
 
   // The force of a spring [N], object frame, without what would take more than half of the last
-  // normal force of its finger. Where that is no force within the margin, the two stay inside the
-  // cone; within it a spring may leave it for a while, to balance the motors' errors.
+  // normal force of its finger. Where forces do not balance, the two stay inside the cone; where
+  // they do, a spring may leave it, to balance errors of the motors and pushes.
   Point keeping_contact(int i, const Point& spring) const {
     const Point inward = model_.axis(i, 0);
     const double pull = dot(spring, inward) + 0.5 * force[3 * i];
     const Point kept = pull < 0.0 ? spring - pull * inward : spring;
-    if (balance == Balance::within_margin) return kept;
+    if (balance <= Balance::within_cones) return kept;
     const double beyond = cones_.beyond(i, kept);
     const double room = std::max(-cones_.beyond(i, &force[3 * i], torsion[i]), 0.0);
     return beyond > room ? room / beyond * kept : kept;
@@ -113,7 +113,6 @@ class GripForces {
     mask_ = mask;
     most_change_ = settings_.force_rate * period;
     last_force_ = force;  // copied, not swapped: views of it stay valid
-    last_balance_ = balance;
     std::fill(force.begin(), force.end(), 0.0);
     std::fill(torsion.begin(), torsion.end(), 0.0);
     balance = mask || hold != Hold::optimized ? Balance::within_margin : Balance::none;
@@ -158,9 +157,8 @@ class GripForces {
   std::vector<double> follow_row_, within_row_, last_row_;
   const HandState* state_ = nullptr;  // of this update
   std::uint64_t mask_ = 0;
-  Balance last_balance_ = Balance::within_margin;  // of the update before
-  double most_change_ = 0.0;                       // [N]
-  Vec6 asked_{};                                   // wrench that the forces of this update balance
+  double most_change_ = 0.0;  // [N]
+  Vec6 asked_{};              // wrench that the forces of this update balance
   // margin of this update, if it is another one than the method's
   std::optional<Margin> margin_;
   bool has_last_ = false;  // there is a last command
@@ -225,8 +223,6 @@ class GripForces {
     }
     if (balance != Balance::none && is_overloaded() && share_ > 0.0)
       give_way();
-    else if (balance != Balance::within_margin && last_balance_ == Balance::within_margin)
-      share_ *= 0.5;  // their preload may be what is too much
     else
       share_ = std::min(1.0, share_ + period / RETURNING);
     if (has_last_) bound_change();

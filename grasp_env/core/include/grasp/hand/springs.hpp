@@ -8,7 +8,7 @@ namespace grasp {
 class Springs {
  public:
   // (N,) the contacts to which free fingers reach [m], and their inward normals, object frame; not
-  // finite: where the finger landed last
+  // finite: where the finger lands first. Later places would wander with each loss of contact.
   std::vector<Point> goals, inwards;
   std::vector<double> depths;  // (N,) below the surface [m]: where `Hold::place` keeps the tips
   std::vector<double> home;    // (M,) posture of the joints that the tips leave free [rad]
@@ -63,8 +63,8 @@ class Springs {
   void land(int i, const HandState& state) {
     places_[i] = {model_.turn.transposed(model_.tips[i] - state.object().position),
                   model_.turn.transposed() * link_frame(i), state.normal(i)};
-    learned_[i] = learned_[i] || !std::isfinite(goals[i].u);
-    if (learned_[i]) {
+    if (!std::isfinite(goals[i].u)) {
+      learned_[i] = true;
       goals[i] = state.position(i);
       inwards[i] = state.normal(i);
     }
