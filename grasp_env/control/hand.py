@@ -72,7 +72,7 @@ class HandControllerSettings(Settings):
         1e-4, real(Range(1e-12, 1.0)), "Relative certified gap at which a solve ends."
     )
     max_iterations: int = setting(
-        40, integer(1), "Largest number of steps of a solve; an update makes one to six."
+        40, integer(1), "Largest number of steps of a solve; an update makes one to eight."
     )
     joint_delay: float = setting(
         0.0, real(NOT_NEGATIVE), "Delay of the measured joints; it softens the springs.", unit="s"

@@ -221,10 +221,10 @@ class GripForces {
         keep_limits(has_last_ && near_limits_ ? last_row_.data()
                                               : (by_step ? solution : follow_row_).data());
     }
-    if (balance != Balance::none && is_overloaded() && share_ > 0.0)
-      give_way();
-    else
+    if (balance == Balance::none || !is_overloaded())
       share_ = std::min(1.0, share_ + period / RETURNING);
+    else if (share_ > 0.0)
+      give_way();
     if (has_last_) bound_change();
     if (is_overloaded()) balance = std::max(balance, Balance::overloaded);
   }
