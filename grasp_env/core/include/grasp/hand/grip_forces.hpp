@@ -225,7 +225,7 @@ class GripForces {
       share_ = std::min(1.0, share_ + period / RETURNING);
     else if (share_ > 0.0)
       give_way();
-    if (has_last_) bound_change();
+    if (has_last_ && balance != Balance::none) bound_change();
     if (is_overloaded()) balance = std::max(balance, Balance::overloaded);
   }
   bool is_overloaded() { return exceeds_limits_ || !can_give(force.data(), 1.0 + 1e-9); }
