@@ -88,7 +88,7 @@ def test_springs_of_weak_motors_have_what_forces_leave(soft):
 
 
 def test_springs_of_overloaded_motors_never_push_back():
-    """Where forces take more than all of a motor, no share of the springs is left, and no less."""
+    """Where forces exceed a motor's limit, the springs add nothing."""
     left = 0
     for seed in range(40):
         rng = np.random.default_rng(seed)
@@ -108,8 +108,8 @@ def test_springs_of_overloaded_motors_never_push_back():
 
 
 def test_slow_forces_do_not_overload_motors_that_can_balance():
-    """Where forces that change by 1 mN in an update would need more than the motors give, they
-    change faster."""
+    """A force may change by 1 mN in an update. Where that would keep torques beyond their limits, it
+    changes faster."""
     plain, state = made(**NO_SPRINGS)
     updated(plain, state, 50)
     limits = 1.2 * np.abs(plain.torques).max() * np.ones(JOINTS)

@@ -1,4 +1,4 @@
-"""What a hand's controller says of its forces is true, and it recovers from what it is given."""
+"""The status of a hand's controller is true of its forces, and bad messages and settings do no harm."""
 
 from __future__ import annotations
 

@@ -82,8 +82,8 @@ struct Calibration {
     const double end = std::min(-torques[joint].front(), torques[joint].back());
     return end < LARGEST ? end : infinity;
   }
-  // Device units for a torque [N m]. wanted: torque of the springs [N m], whose
-  // sign is that of the wanted motion.
+  // Device units for a torque [N m]. wanted: torque of the springs [N m], whose sign is that of the
+  // wanted motion.
   double operator()(int joint, double torque, double wanted) const {
     const auto faded = [&](double by) { return std::clamp(by / fade, -1.0, 1.0); };
     const Numbers& from = torques[joint];

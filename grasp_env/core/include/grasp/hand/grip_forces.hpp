@@ -13,7 +13,7 @@ class GripForces {
   std::vector<double> torsion;   // (N,) moments about the normals [N m]
   std::vector<double> solution;  // row of the method's last solve
   std::vector<double> preload;   // (N,) [N] of the margin
-  // (N,) [N], object frame: forces of the springs of touching fingers, which are given
+  // (N,) [N], object frame: forces of the springs of touching fingers, less where they give way
   std::vector<Point> springs;
   std::vector<double> spring_torques;  // (M,) of these [N m]
   Balance balance = Balance::within_margin;
