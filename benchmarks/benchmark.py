@@ -21,6 +21,7 @@ RANGES = {
     "contacts": (3, ranges.CONTACTS),
     "wrenches": (8, 10_000_000),
     "seed": (0, ranges.SEED),
+    "seeds": (0, 1000),
     "start": (0, 1000),
 }
 """Allowed values of settings that are whole numbers; the others take 1 to 100,000."""

@@ -71,7 +71,9 @@ NUMBER, HEARD, UPDATES, DURATION, LATE, OVER_BUDGET, STATUS, COMMANDS = range(8)
 """Indices of an answer."""
 HELD = 5.0
 """Largest drift of a held object [mm]."""
-UPDATE, TRIP, WHOLE = "update", "round trip", "run"
+LOST = 15.0
+"""Drift of an object that is lost, at which a repeatable run ends [mm]."""
+UPDATE, TRIP, WHOLE, REPEATABLE = "update", "round trip", "run", "repeatable run"
 LANGUAGES = {"cpp": "C++", "python": "Python"}
 PATIENCE = 60.0
 """Longest wait for the first answer of the controller [s]."""
@@ -88,6 +90,8 @@ class HandLoopSettings:
         language: languages of the controller, one after another.
         errors: if True, joints, contacts and object are measured late, the controller assumes
             too much friction, torques are noisy, and cut fingers are pulled off the object.
+        seeds: how many runs follow in one process and without real time. Each has a seed of the
+            noise of its own, and repeats exactly. They show how often a hand loses the object.
     """
 
     hand: Literal["allegro", "leap"] = "allegro"
@@ -95,6 +99,7 @@ class HandLoopSettings:
     seconds: int = 60
     language: tuple[Literal["cpp", "python"], ...] = ("cpp", "python")
     errors: bool = False
+    seeds: int = 0
 
 
 def run(settings: HandLoopSettings) -> pd.DataFrame:
@@ -110,7 +115,47 @@ def run(settings: HandLoopSettings) -> pd.DataFrame:
                 for k, value in enumerate(times)
             ]
         rows.append({**keys, "case": WHOLE, "problem": 0, **measured.counts})
+    for seed in range(settings.seeds):
+        tick(f"repeatable run {seed + 1} of {settings.seeds}")
+        hand = SimulatedHand(settings.hand, settings.rate, settings.errors, seed)
+        keys = {"hand": settings.hand, "method": "python", "case": REPEATABLE, "problem": seed}
+        rows.append({**keys, **repeatable(hand, settings.seconds)})
     return table(rows)
+
+
+def repeatable(hand: SimulatedHand, seconds: float) -> dict[str, Any]:
+    """Run hand and controller by turns, and close the hand; return whether it held the object.
+
+    Every message arrives at once, so that a run repeats exactly. `seconds` of the result is the
+    simulated time [s], until the object was lost.
+    """
+    controller = configured(hand.hand, hand.settings)
+    period = 1.0 / hand.rate
+    commands = np.zeros(len(hand.limits))
+    drift = 0.0
+    now = 0.0
+    try:
+        state = hand.state()
+        controller.activate(state)
+        for _ in range(round(RISE * hand.rate)):
+            state = hand.state()
+            commands = np.asarray(controller.update(state, period))
+        for k in range(round(seconds * hand.rate)):
+            now = k * period
+            hand.step(commands)
+            drift = max(drift, hand.drift())
+            if drift > LOST:
+                break
+            if hand.is_silent(now):
+                state.ages += period
+            else:
+                state = hand.state(hand.cut_finger(now))
+            commands = np.asarray(controller.update(state, period))
+    except SimulationError:  # it flew away
+        drift = np.inf
+    finally:
+        hand.env.close()
+    return {"held": drift < HELD, "drift": min(drift, LOST), "seconds": now + period}
 
 
 def measure(
@@ -161,13 +206,14 @@ class SimulatedHand:
         name: its name in `HANDS`.
         rate: rate of its messages [Hz].
         errors: see `HandLoopSettings`.
+        seed: seed of the noise.
 
     Attributes:
         settings: friction and margin of the controller: the default margin, or with
             errors one for a friction that is known to 25 %, and preloads for late wrenches.
     """
 
-    def __init__(self, name: str, rate: int, errors: bool = False) -> None:
+    def __init__(self, name: str, rate: int, errors: bool = False, seed: int = 0) -> None:
         self.rate, self.errors = rate, errors
         ball = {"shape": "sphere", "size": (0.06,), "friction": 0.7, "mass": 0.15}
         rates = {"controller.rate": rate, "agent.rate": rate // 10}
@@ -182,13 +228,22 @@ class SimulatedHand:
         usual = HandControllerSettings(rate=rate, friction=self.friction)
         wrong = {"friction": self.friction * (1.0 + FRICTION_ERROR), **CAREFUL}
         self.settings = usual.replaced(wrong if errors else {})
-        self._rng = np.random.default_rng(0)
+        self._rng = np.random.default_rng(seed)
         self._noise = np.ones(len(self.limits))
         self._steps = 0
         late = [round(delay * rate) * errors for delay in (JOINT_DELAY, DELAY)]
         self._joints, self._rest = (deque[HandState](maxlen=1 + ticks) for ticks in late)
         links = scene.kinematics.tip_links
         self._tips = [scene.simulator.model.body(f"link{int(link)}").id for link in links]
+
+    def is_silent(self, now: float) -> bool:
+        """Return True while messages stop; now: time since the start [s]."""
+        return _within(now, FIRST_SILENCE, SILENCE_EVERY, SILENT_FOR) > 0
+
+    def cut_finger(self, now: float) -> int:
+        """Return the finger whose contact is cut, -1: none."""
+        cut = _within(now, FIRST_CUT, CUT_EVERY * (1 + self.errors), CUT_FOR)
+        return (cut - 1) % self.hand.finger_count if cut else -1
 
     def drift(self) -> float:
         """Return the object's distance from the pose at which it was grasped [mm]."""
@@ -274,7 +329,6 @@ class Loop:
     def run(self, seconds: float) -> None:
         """Run for a time [s], or raise a `SimulationError` if the controller does not answer."""
         hand = self.hand
-        fingers = self.hand.hand.finger_count
         drift = 0.0
         behind = 0
         self._rise()
@@ -286,9 +340,8 @@ class Loop:
                 tick(f"{now:.0f} s of {seconds} s, {drift:.3f} mm")
             hand.step(self._answer[COMMANDS : COMMANDS + len(hand.limits)])
             drift = max(drift, hand.drift())
-            if not _within(now, FIRST_SILENCE, SILENCE_EVERY, SILENT_FOR):
-                cut = _within(now, FIRST_CUT, CUT_EVERY * (1 + hand.errors), CUT_FOR)
-                self._send(hand.state((cut - 1) % fingers if cut else -1))
+            if not hand.is_silent(now):
+                self._send(hand.state(hand.cut_finger(now)))
             if time.perf_counter() > due:  # a busy machine delays the simulated hand
                 due = time.perf_counter() + 0.5 * self.period
                 behind += 1
@@ -372,13 +425,19 @@ def build(folder: Path) -> Path:
     return target / "hand_controller"
 
 
-def serve(channel: socket.socket, hand: HandDescription, settings: HandControllerSettings) -> None:
-    """Serve the controller in Python as `main` of the example serves it in C++."""
+def configured(hand: HandDescription, settings: HandControllerSettings) -> HandController:
+    """Return a controller that answers in device units."""
     limits = hand.torque_limits
     table = np.outer(limits, [-1.0, 1.0])
     units = np.tile([-UNITS, UNITS], (len(limits), 1))
     controller = HandController()
     controller.configure(hand, settings, Calibration(table, units))
+    return controller
+
+
+def serve(channel: socket.socket, hand: HandDescription, settings: HandControllerSettings) -> None:
+    """Serve the controller in Python as `main` of the example serves it in C++."""
+    controller = configured(hand, settings)
     state = controller.new_state()
     heard = 0
     updates = 0

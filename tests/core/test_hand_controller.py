@@ -531,3 +531,15 @@ def test_it_holds_in_real_time(language, seconds, programs):
     assert done["holding"] > 0.7 * len(loop.statuses)
     assert done["inactive"] == 0
     assert done["coasting"] > 2 * seconds  # silences
+
+
+def test_runs_without_real_time_repeat_exactly():
+    """With all errors; the seed draws the noise of the torques."""
+    first, again, other = (
+        hand_loop.repeatable(hand_loop.SimulatedHand("allegro", 1000, True, seed), 1.0)
+        for seed in (2, 2, 4)
+    )
+    assert first == again
+    assert first["drift"] != other["drift"]
+    assert first["held"]
+    assert first["seconds"] == pytest.approx(1.0)
