@@ -103,7 +103,12 @@ class HandLoopSettings:
 
 
 def run(settings: HandLoopSettings) -> pd.DataFrame:
-    """Run the loop; return one row per update, one per answered message, and a row of counts."""
+    """Run the loop; return one row per update, one per answered message, and a row of counts.
+
+    A repeatable run is one row.
+    """
+    if not settings.language and not settings.seeds:
+        raise InvalidInputError("nothing to run: name a language, or give seeds of at least 1")
     rows: list[dict[str, Any]] = []
     for language in settings.language:
         hand = SimulatedHand(settings.hand, settings.rate, settings.errors)
@@ -126,8 +131,8 @@ def run(settings: HandLoopSettings) -> pd.DataFrame:
 def repeatable(hand: SimulatedHand, seconds: float) -> dict[str, Any]:
     """Run hand and controller by turns, and close the hand; return whether it held the object.
 
-    Every message arrives at once, so that a run repeats exactly. `seconds` of the result is the
-    simulated time [s], until the object was lost.
+    Every message arrives at once, so that a run repeats exactly. It ends when the object is lost,
+    with a `drift` of `LOST`; `seconds` of the result is the simulated time until then [s].
     """
     controller = configured(hand.hand, hand.settings)
     period = 1.0 / hand.rate
@@ -427,12 +432,15 @@ def build(folder: Path) -> Path:
 
 def configured(hand: HandDescription, settings: HandControllerSettings) -> HandController:
     """Return a controller that answers in device units."""
-    limits = hand.torque_limits
-    table = np.outer(limits, [-1.0, 1.0])
-    units = np.tile([-UNITS, UNITS], (len(limits), 1))
     controller = HandController()
-    controller.configure(hand, settings, Calibration(table, units))
+    controller.configure(hand, settings, device_units(np.array(hand.torque_limits)))
     return controller
+
+
+def device_units(limits: Array) -> Calibration:
+    """Return whole numbers from -UNITS to UNITS for torques up to limits (M,) [N m]."""
+    units = np.tile([-UNITS, UNITS], (len(limits), 1))
+    return Calibration(np.outer(limits, [-1.0, 1.0]), units)
 
 
 def serve(channel: socket.socket, hand: HandDescription, settings: HandControllerSettings) -> None:
@@ -479,8 +487,17 @@ def serve(channel: socket.socket, hand: HandDescription, settings: HandControlle
 
 
 def draw(rows: pd.DataFrame, words: Mapping[str, str]) -> Figure:
-    """Draw histograms of the times of updates and round trips; `words` name the methods."""
+    """Draw histograms of the times of updates and round trips; `words` name the methods.
+
+    Without times, draw the drift of each repeatable run.
+    """
     figure, panel = axes(3.4)
+    if "latency" not in rows:
+        panel.bar(rows["problem"], rows["drift"], width=0.7)
+        panel.axhline(HELD, color="C1", linewidth=1.0, label=f"held: below {HELD:g} mm")
+        panel.set(xlabel="seed", ylabel="drift [mm]", ylim=(0.0, LOST))
+        panel.legend(frameon=False, fontsize=9)
+        return figure
     timed = rows.dropna(subset="latency")
     edges = np.geomspace(max(timed["latency"].min(), 1.0), 1.01 * timed["latency"].max(), 70)
     for keys, group in timed.groupby(["method", "case"], sort=False):
@@ -514,6 +531,7 @@ BENCHMARK = Benchmark(
         "over_budget_sum",
         "behind_sum",
         "drift_max",
+        "held_mean",
     ),
     claims=(
         Claim("update in C++, median", _FAST, "latency_median", "<=", 15.0, unit="us"),

@@ -52,14 +52,8 @@ def state(hand) -> HandState:
 def controller(hand, table: Calibration | None = None, **settings: Any) -> HandController:
     made = HandController()
     chosen = HandControllerSettings(friction=hand.friction, **settings)
-    made.configure(hand.hand, chosen, table or scaled(hand.limits))
+    made.configure(hand.hand, chosen, table or hand_loop.device_units(hand.limits))
     return made
-
-
-def scaled(limits: np.ndarray) -> Calibration:
-    """Whole numbers from -240 to 240 for torques up to the limits."""
-    units = np.tile([-hand_loop.UNITS, hand_loop.UNITS], (len(limits), 1))
-    return Calibration(np.outer(limits, [-1.0, 1.0]), units)
 
 
 def changed(state: HandState, **parts: Any) -> HandState:
@@ -318,7 +312,7 @@ def test_lost_closure_and_weak_motors_have_different_statuses(hand, state):
     assert made.status == "slipping"
     repeated(made, changed(state, touching=[0.0] * 4), 4)
     assert made.status == "released"
-    made = controller(hand, scaled(0.15 * hand.limits), budget=0.0)
+    made = controller(hand, hand_loop.device_units(0.15 * hand.limits), budget=0.0)
     made.activate(state)
     commands = repeated(made, changed(state, wrench=4.0 * state.wrench), 40)
     assert made.status == "overloaded"

@@ -88,7 +88,7 @@ def test_springs_of_weak_motors_have_what_forces_leave(soft):
 
 
 def test_springs_of_overloaded_motors_never_push_back():
-    """Where forces exceed a motor's limit, the springs add nothing."""
+    """Springs shrink, some to zero, and never pull the other way."""
     left = 0
     for seed in range(40):
         rng = np.random.default_rng(seed)
