@@ -96,7 +96,7 @@ class HandControllerSettings(Settings):
     reach_force: float = setting(
         0.3, real(NOT_NEGATIVE), "Its force on the object when it arrives.", unit="N"
     )
-    reach_limit: float = setting(1.0, real(NOT_NEGATIVE), "Its largest force on the way.", unit="N")
+    reach_limit: float = setting(2.0, real(NOT_NEGATIVE), "Its largest force on the way.", unit="N")
     posture_stiffness: float = setting(
         0.01,
         real(NOT_NEGATIVE),
@@ -278,11 +278,13 @@ class HandController(core.HandController):
 
     - "inactive": zero torque.
     - "holding": forces within the margin balance the wrench.
-    - "marginal": forces inside the friction cones do, with less than the margin.
+    - "marginal": forces inside the friction cones do, with less than the margin; or forces within
+      the margin do, but for 0.3 N and a fifth of the wrench at most.
     - "overloaded": such forces exceed the motors' limits; those that exceed them least.
     - "pivoting": they balance all but a moment that no contact resists, as that about the line
       through two hard fingertips.
-    - "slipping": no forces inside the cones balance it; those with the smallest imbalance.
+    - "slipping": no forces inside the cones balance it, or only ones that are too large for it;
+      those with the smallest imbalance.
     - "coasting": the last forces, since joints, contacts or wrench are too old. They fade.
     - "released": the hand carries itself.
     - "given": forces or places that `hold` asks for instead of optimal forces, unchecked.

@@ -165,7 +165,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     | `status` | | str | the solver's `Status`; "none" at reset, without optimisation, and if the method found no force; "failed" if the step failed before there was a status |
     | `objective`, `optimality_gap` | | 1 | objective and certified relative gap |
     | `cone_margin` | | N | smallest distance to a friction cone |
-    | `force_closure` | | bool | the contacts could balance the wrench at the last tick |
+    | `force_closure` | | bool | the contacts could balance the wrench, or nearly all of it, at the last tick |
     | `contacts`, `contact_changes` | | 1 | number of fingers in contact, and of its changes since reset |
     | `wrench` | (6,) | N, N m | wrench to balance, object frame |
     | `commanded_force`, `measured_force` | (N, 3) | N | contact forces, contact frames; commanded are the optimal ones and the springs |

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hands import kinematics_alone
 from numpy.testing import assert_allclose, assert_array_equal
+from oracles import geometry
 
 from grasp_env import core
 from grasp_env.control import (
@@ -70,6 +71,12 @@ def net(controller: HandController, force: np.ndarray) -> np.ndarray:
     return np.concatenate([pushes.sum(axis=0), np.cross(GRASP.positions, pushes).sum(axis=0)])
 
 
+def sizes(places: np.ndarray, *wrenches: np.ndarray) -> list[float]:
+    """Sizes [N] of wrenches in the unit frame of contacts (N, 3)."""
+    to_unit = geometry.unit_frame(places)[2]
+    return [float(np.linalg.norm(to_unit @ wrench)) for wrench in wrenches]
+
+
 def torques_of(controller: HandController, state: HandState, force: np.ndarray) -> np.ndarray:
     """Torques (M,) of forces (N, 3) and of the links' weight."""
     moves, weight = KINEMATICS.statics(state.angles, GRASP.positions, state.gravity)
@@ -82,20 +89,20 @@ def torques_of(controller: HandController, state: HandState, force: np.ndarray) 
 
 @pytest.mark.parametrize("limit", [3, 40])
 def test_statuses_are_true_of_random_loads_contacts_and_motors(limit):
-    """`holding` and `marginal`: the wrench is balanced within the motors' limits, by forces inside
-    the margin and the cones. `slipping`: it is not balanced."""
+    """`holding`: forces inside the margin balance the wrench. `marginal`: forces inside the cones do,
+    or forces inside the margin balance nearly all of it. Both are within the motors' limits, and
+    no larger than the load calls for. `slipping`: the wrench is not balanced. Forces that do not
+    balance change by at most 1 N in an update."""
     seen = dict.fromkeys(("holding", "marginal", "overloaded", "slipping", "pivoting"), 0)
     for seed in range(120):
         rng = np.random.default_rng(seed)
         limits = rng.uniform(0.7, 1.4, JOINTS) * np.exp(rng.uniform(np.log(0.2), np.log(8.0)))
         share = rng.choice([0.5, 0.75, 1.0])
+        given = rng.choice([0.0, 0.5])
         controller, state = made(
-            limits,
-            friction_margin=share,
-            preload=rng.choice([0.0, 0.5]),
-            max_iterations=limit,
-            **NO_SPRINGS,
+            limits, friction_margin=share, preload=given, max_iterations=limit, **NO_SPRINGS
         )
+        before = None
         for _ in range(12):
             state.touching[:] = rng.random(4) < 0.8
             state.wrench[:] = (
@@ -104,33 +111,90 @@ def test_statuses_are_true_of_random_loads_contacts_and_motors(limit):
             for _ in range(rng.integers(1, 4)):
                 updated(controller, state)
                 status = controller.status
+                assert (np.abs(controller.torques) <= limits * (1.0 + 1e-9)).all()
                 if status not in seen:  # no finger counts as in contact
                     assert status == "released"
+                    before = None
                     continue
                 seen[status] += 1
-                force = controller.arrays()["optimal"]
-                missing = np.abs(net(controller, force) + state.wrench) / [
-                    1,
-                    1,
-                    1,
-                    0.05,
-                    0.05,
-                    0.05,
-                ]
-                balanced = missing.max() < 1e-5 * (1.0 + np.abs(state.wrench).max())
+                force = controller.arrays()["optimal"].copy()
+                counts = np.array([controller.mask >> i & 1 == 1 for i in range(4)])
+                missing, load = sizes(
+                    GRASP.positions[counts], net(controller, force) + state.wrench, state.wrench
+                )
+                balanced = missing < 1e-5 * (1.0 + load)
+                preload = controller.arrays()["preload"]
                 used = np.hypot(force[:, 1], force[:, 2]) / FRICTION
-                room = force[:, 0] - controller.arrays()["preload"]
                 assert (used <= force[:, 0] * (1.0 + 1e-6) + 1e-6).all()
                 if status in ("holding", "marginal"):
-                    assert balanced
                     torques = torques_of(controller, state, force)
                     assert (np.abs(torques) <= limits * (1.0 + 1e-6)).all()
+                if status in ("holding", "marginal", "pivoting"):
+                    most = 2.0 * preload.sum() + 4.0 * (1.0 + load / (share * FRICTION))
+                    assert force[:, 0].sum() <= most * (1.0 + 1e-6)
                 if status == "holding":
+                    assert balanced
+                    room = force[:, 0] - preload
                     assert (used <= share * room * (1.0 + 1e-6) + 1e-6).all()
-                if status == "slipping":
+                elif status == "marginal":
+                    assert missing <= min(0.3, 0.2 * load) * (1.0 + 1e-6)
+                elif status == "slipping":
                     assert not balanced
-                assert (np.abs(controller.torques) <= limits * (1.0 + 1e-9)).all()
+                if before is not None and not balanced and status != "pivoting":
+                    assert np.abs(force - before)[counts].max() <= 1.0 + 1e-9
+                before = force
     assert min(seen.values()) > 5, seen
+
+
+@pytest.mark.parametrize("push", [0.0, 0.2])
+def test_three_fingers_below_a_ball_do_not_throw_it(push):
+    """An Allegro hand that loses its thumb: to balance what three preloads of 1 N push upwards,
+    two fingers would have to squeeze with all of the friction. The preloads stay, and a small part
+    of the wrench is missing."""
+    controller, state = made(friction=0.875, friction_margin=0.6, preload=1.0, **NO_SPRINGS)
+    controller.deactivate()
+    state.normals[:] = (
+        [-0.879, 0.47, -0.073],
+        [-0.062, 0.894, 0.444],
+        [0.91, 0.382, 0.162],
+        [0.298, -0.898, -0.323],
+    )
+    state.normals[:] /= np.linalg.norm(state.normals, axis=1)[:, None]
+    state.positions[:] = -0.03 * state.normals
+    state.wrench[:] = push, -1.47, 0.0, 0.0, 0.0, 0.0
+    controller.activate(state)
+    updated(controller, state, 30)
+    assert controller.status == "holding"
+    state.touching[3] = 0.0
+    before = controller.force.copy()
+    for tick in range(60):
+        updated(controller, state)
+        force = controller.force
+        used = np.hypot(force[:3, 1], force[:3, 2])
+        assert (used <= 0.6 * 0.875 * (force[:3, 0] - 1.0) + 1e-6).all()
+        assert np.abs(force - before)[:3].max() <= 1.0 + 1e-9
+        before = force.copy()
+        if tick >= 5:
+            assert controller.status == "marginal"
+            pushes = np.einsum("nij,nj->i", controller.arrays()["frames"], force)
+            assert 1e-3 < np.linalg.norm(pushes + state.wrench[:3]) < 0.3
+            assert force[:, 0].sum() < 9.0
+
+
+def test_weak_motors_get_forces_with_less_than_the_margin():
+    """Where those within the margin are too large for them, and those inside the cones are not."""
+    plain, state = made(friction_margin=0.4, preload=1.0, **NO_SPRINGS)
+    state.wrench[1] = -6.0
+    updated(plain, state, 50)
+    assert plain.status == "holding"
+    limits = 0.7 * np.abs(plain.torques).max() * np.ones(JOINTS)
+    controller, state = made(limits, friction_margin=0.4, preload=1.0, **NO_SPRINGS)
+    state.wrench[1] = -6.0
+    updated(controller, state, 50)
+    assert controller.status == "marginal"
+    assert_allclose(net(controller, controller.force), -state.wrench, atol=1e-5)
+    assert (np.abs(torques_of(controller, state, controller.force)) <= limits + 1e-9).all()
+    assert 0.4 < controller.friction_used.max() <= 1.0 + 1e-6
 
 
 def test_springs_leave_the_motors_and_the_cones_to_the_balanced_part():
@@ -175,21 +239,30 @@ def test_weak_motors_and_springs_do_not_chatter(seed):
         before = controller.force.copy()
 
 
-def test_springs_stay_inside_the_cones_where_forces_do_not_balance():
-    """Two fingers, a small share of the friction, and a target that is some millimetres off."""
+@pytest.mark.parametrize("few", [False, True])
+def test_a_spring_leaves_the_cone_only_so_far(few):
+    """By twice what the force is inside it and 1 N, with four fingers and with two."""
     rng = np.random.default_rng(1)
-    seen = 0
+    share = 0.4 * FRICTION
+    most = []
     for _ in range(40):
-        controller, state = made(friction_margin=0.4, preload=0.0)
-        state.touching[1:3] = 0.0
+        controller, state = made(friction_margin=0.4, preload=0.0, grip_damping=0.0)
+        state.touching[1:3] = float(not few)
         state.wrench[:] = rng.standard_normal(6) * np.repeat([0.3, 0.02], 3)
         controller.activate(state)
+        updated(controller, state, 50)
         state.target[:3] = rng.standard_normal(3) * 2e-3
-        updated(controller, state, 300)
-        if controller.status in ("slipping", "pivoting"):
-            seen += 1
-            assert (controller.friction_used[[0, 3]] <= 1.0 + 1e-3).all()
-    assert seen > 5
+        for _ in range(20):
+            optimal = controller.arrays()["optimal"].copy()
+            updated(controller, state)
+            spring = controller.force - controller.arrays()["optimal"]
+            inside = share * optimal[:, 0] - np.hypot(optimal[:, 1], optimal[:, 2])
+            outside = np.hypot(spring[:, 1], spring[:, 2]) - share * spring[:, 0]
+            room = 2.0 * np.maximum(inside, 0.0) + 1.0
+            touching = state.touching > 0.0
+            assert (outside <= room * (1.0 + 1e-9))[touching].all()
+            most.append((outside / room)[touching].max())
+    assert np.max(most) == pytest.approx(1.0, abs=1e-9)
 
 
 def test_an_overload_does_not_grow():
@@ -198,14 +271,12 @@ def test_an_overload_does_not_grow():
     limits = np.full(JOINTS, 0.07)
     controller, state = made(limits, torsional_friction=0.005, **NO_SPRINGS)
     state.touching[1:3] = 0.0
-    state.wrench[:] = 0.35, -10.0, -5.6, -0.035, 0.053, -0.02
+    state.wrench[:] = -1.4, -8.0, -1.9, 0.03, -0.026, -0.037
     controller.activate(state)
-    updated(controller, state, 20)
+    updated(controller, state, 60)
     first = controller.arrays()["optimal"].copy()
     updated(controller, state, 200)
     assert controller.status == "overloaded"
-    # five times the load over the share of the friction, and its moments in the grasp's length
-    assert first[:, 0].sum() < 5.0 * 15.0 / (0.75 * FRICTION)
     assert_allclose(controller.arrays()["optimal"], first, atol=0.1)
 
 

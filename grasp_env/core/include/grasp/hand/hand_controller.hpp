@@ -22,10 +22,10 @@ class HandController {
   enum Status {
     inactive,    // zero torque
     holding,     // forces within the margin balance the wrench
-    marginal,    // forces inside the friction cones do, with less than the margin
-    overloaded,  // such forces exceed the motors' limits: those that exceed them least
+    marginal,    // nearly all of it; or forces inside the friction cones do, beyond the margin
+    overloaded,  // forces that do exceed the motors' limits: those that exceed them least
     pivoting,    // they balance all but a moment that no contact resists
-    slipping,    // no forces inside the cones balance it: those with the smallest imbalance
+    slipping,    // no moderate forces balance it: those with the smallest imbalance
     coasting,    // the last forces, since joints, contacts or wrench are too old
     released,    // the hand carries itself
     given        // unchecked forces or places, which `hold` asks for
@@ -202,7 +202,7 @@ class HandController {
 
   // (N,) share of the friction that each commanded force uses; infinite without normal force
   const std::vector<double>& friction_used() const { return friction_used_; }
-  // True if forces balance the wrench.
+  // True if forces balance the wrench, or nearly all of it.
   bool closure() const { return forces().balance <= Balance::overloaded; }
   // The last valid message; a finger without contact keeps its last contact.
   const HandState& state() const { return now_; }
@@ -320,13 +320,11 @@ class HandController {
   void prepare() {
     GripForces& forces = parts_->forces;
     const std::uint64_t gripping = hold == Hold::optimized ? mask : 0;
-    if (is_stale()) return forces.push_springs(gripping);
+    if (is_stale()) return forces.keep_springs(gripping);
     each_finger(gripping, [&](int i) {
-      forces.springs[i] = {0.0, 0.0, 0.0};
-      if (!now_.touches(i)) return;  // it counts for some updates more
+      if (!now_.touches(i)) return forces.set_spring(i, {0.0, 0.0, 0.0});  // it only counts so
       parts_->springs.settle(i, now_, step_time());
-      forces.springs[i] =
-          forces.keeping_contact(i, parts_->model.turn.transposed(parts_->springs.grip(i, now_)));
+      forces.set_spring(i, parts_->model.turn.transposed(parts_->springs.grip(i, now_)));
     });
     forces.begin(gripping, step_time());
   }
@@ -340,12 +338,12 @@ class HandController {
     } else {
       status = known_ > 0.0 && pushing ? coasting : released;
     }
-    model.set_bias(forces.spring_torques);
+    model.set_bias(forces.springs().torques);
     model.torques_of(pushing, forces.force.data(), forces.torsion.data(), wanted_);
     for (std::size_t j = 0; j < wanted_.size(); ++j) {
       wanted_[j] =
           known_ < 1.0 ? model.carrying[j] + known_ * (wanted_[j] - model.carrying[j]) : wanted_[j];
-      spring_torques[j] = known_ * forces.spring_torques[j];
+      spring_torques[j] = known_ * forces.springs().torques[j];
     }
     set_force();
     add_free_springs(pushing);
@@ -367,7 +365,7 @@ class HandController {
     const GripForces& forces = parts_->forces;
     for (int i = 0; i < int(updates_apart_.size()); ++i)
       for (int a = 0; a < 3; ++a) {
-        const double spring = dot(forces.springs[i], parts_->model.axis(i, a));
+        const double spring = dot(forces.springs().forces[i], parts_->model.axis(i, a));
         force[3 * i + a] = known_ * (forces.force[3 * i + a] + spring);
       }
     forces.write_friction_used(force, known_, friction_used_);

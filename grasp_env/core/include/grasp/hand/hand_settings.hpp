@@ -26,7 +26,7 @@ struct HandControllerSettings {
   Spring grip{1500.0, 16.0, 10.0};  // of a touching fingertip to its place on the target
   double reach_stiffness = 60.0;    // [N/m] of a finger that does not touch to its place,
   double reach_force = 0.3;         // critically damped; [N] its force on the object and
-  double reach_limit = 1.0;         // the largest one on the way
+  double reach_limit = 2.0;         // the largest one on the way
   // [N m/rad], [N m s/rad] towards the home posture, for joints that the tips leave free
   double posture_stiffness = 0.01, posture_damping = 0.001;
   double damping = 0.0;  // [N m s/rad] of every joint
@@ -120,10 +120,10 @@ struct Effort {
 // How the forces of an update balance the wrench, the best first.
 enum class Balance {
   within_margin,
-  within_cones,  // with less than the margin
-  overloaded,    // beyond the motors' limits, but least
-  pivoting,      // all but a moment that no contact resists, as that about the line through two
-  none           // the forces inside the cones with the smallest imbalance
+  marginal,    // nearly, or beyond the margin
+  overloaded,  // beyond the motors' limits, but least
+  pivoting,    // all but a moment that no contact resists, as that about the line through two
+  none         // the forces within the margin with the smallest imbalance
 };
 
 // Behaviour of the fingers in contact.

@@ -1,0 +1,125 @@
+// The springs of the fingers in contact, and the normal forces that carry them.
+#pragma once
+#include <grasp/hand/hand_settings.hpp>
+#include <grasp/hand/margin_cones.hpp>
+
+namespace grasp {
+
+class GripSprings {
+ public:
+  std::vector<Point> forces;    // (N,) [N], object frame
+  std::vector<double> torques;  // (M,) of these [N m], in the posture at hand
+  std::vector<double> preload;  // (N,) [N] for forces within the margin
+
+  // Model and cones must outlive this object. margin: its preloads are the least ones.
+  GripSprings(const HandModel& model, const MarginCones& cones, const Margin& margin,
+              const HandControllerSettings& settings)
+      : forces(model.tree->fingers()),
+        torques(model.tree->joints()),
+        preload(forces.size()),
+        model_(model),
+        cones_(cones),
+        force_rate_(settings.force_rate),
+        given_(forces.size()),
+        whole_preload_(preload),
+        whole_(forces),
+        lasting_(forces) {
+    for (std::size_t i = 0; i < given_.size(); ++i) given_[i] = margin.preload[int(i)];
+    reset();
+  }
+
+  void reset() {
+    for (auto* numbers : {&torques, &preload, &whole_preload_})
+      std::fill(numbers->begin(), numbers->end(), 0.0);
+    for (auto* points : {&forces, &whole_, &lasting_})
+      std::fill(points->begin(), points->end(), Point{0.0, 0.0, 0.0});
+    share_ = 1.0;
+  }
+  double given_preload(int i) const { return given_[i]; }
+  // A preload differs from the given one.
+  bool changes_preload(std::uint64_t mask) const {
+    bool differs = false;
+    each_finger(mask, [&](int i) { differs = differs || preload[i] != given_[i]; });
+    return differs;
+  }
+
+  // Set the force of a spring [N], object frame, of a finger that pushes with a force (3,) [N],
+  // contact frame, and a torsion [N m]. What would take more than half of its normal force is left
+  // out. A spring balances errors of the motors and pushes, which are no part of the command, so
+  // the two may leave the cone; but far outside it, the spring would only turn the object.
+  void set(int i, const Point& spring, const double* force, double torsion) {
+    constexpr double FAR = 2.0;    // times the distance of the force from the surface of its cone
+    constexpr double SLACK = 1.0;  // [N] more
+    const Point inward = model_.axis(i, 0);
+    const double pull = dot(spring, inward) + 0.5 * force[0];
+    const Point kept = pull < 0.0 ? spring - pull * inward : spring;
+    const double beyond = cones_.beyond(i, kept);
+    const double room = FAR * std::max(-cones_.beyond(i, force, torsion), 0.0) + SLACK;
+    forces[i] = beyond > room ? room / beyond * kept : kept;
+  }
+  // Begin an update with `forces` of the fingers of a mask, less their share, and set their
+  // preloads. The preload of a finger is that of the margin, and what keeps the lasting force of
+  // its spring inside the cone: |t + t'| <= mu (n - p + n') wherever |t| <= mu (n - p). It grows as
+  // fast as a force may, from zero when a finger lands. period: [s] since the last update. first:
+  // preloads are there at once.
+  void begin(std::uint64_t mask, double period, bool first) {
+    const double most = force_rate_ * period;
+    const double part = period / (period + LASTING);
+    for (std::size_t i = 0; i < preload.size(); ++i) {
+      if (!(mask >> i & 1)) {
+        forces[i] = whole_[i] = lasting_[i] = {0.0, 0.0, 0.0};
+        preload[i] = whole_preload_[i] = 0.0;
+        continue;
+      }
+      whole_[i] = forces[i] = share_ * forces[i];
+      lasting_[i] += part * (forces[i] - lasting_[i]);
+      const double wanted = std::max(given_[i], carrying(int(i)));
+      whole_preload_[i] = preload[i] = first ? wanted : std::min(wanted, preload[i] + most);
+    }
+    push(mask);
+  }
+  // Set `torques` to those of `forces`.
+  void push(std::uint64_t mask) {
+    std::fill(torques.begin(), torques.end(), 0.0);
+    each_finger(mask, [&](int i) {
+      model_.posture.push(model_.tree->tips[i].link, model_.touch[i], model_.turn * forces[i],
+                          torques.data());
+    });
+  }
+  // Leave a share of what `begin` set: of the springs, and of the preload that carries them.
+  void leave(std::uint64_t mask, double share) {
+    each_finger(mask, [&](int i) {
+      forces[i] = share * whole_[i];
+      preload[i] = std::min(whole_preload_[i], std::max(given_[i], share * whole_preload_[i]));
+    });
+    push(mask);
+  }
+  // From now on springs have this share of the one that they had: motors could not give more.
+  void give_way(double share) {
+    constexpr double LEAST = 1e-3;
+    share_ *= share > 0.0 ? share : share_ > LEAST ? 0.5 : 0.0;
+  }
+  // Springs that gave way return. period: [s]
+  void recover(double period) {
+    constexpr double RETURNING = 1.0;  // [s]
+    share_ = std::min(1.0, share_ + period / RETURNING);
+  }
+
+ private:
+  // [s] forces of springs that last longer need normal force; errors of the motors are shorter
+  static constexpr double LASTING = 0.03;
+  const HandModel& model_;
+  const MarginCones& cones_;
+  const double force_rate_;
+  std::vector<double> given_, whole_preload_;  // (N,) [N]
+  std::vector<Point> whole_, lasting_;         // (N,) [N], object frame: set by `begin`; filtered
+  double share_ = 1.0;                         // less where the motors cannot give all
+
+  // Normal force [N] that keeps the lasting force of a spring inside the cone.
+  double carrying(int i) const {
+    const double friction = cones_.friction(i);
+    return friction > 0.0 ? std::max(cones_.beyond(i, lasting_[i]) / friction, 0.0) : 0.0;
+  }
+};
+
+}  // namespace grasp
