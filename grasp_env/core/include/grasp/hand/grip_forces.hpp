@@ -4,6 +4,7 @@
 #include <grasp/hand/grip_springs.hpp>
 #include <grasp/optimizer.hpp>
 #include <grasp/phi/elastic.hpp>
+#include <utility>
 
 namespace grasp {
 
@@ -49,6 +50,7 @@ class GripForces {
     Record(last_row_.data(), model_.tree->fingers()).summary() = {};
     forget_solution();
     has_last_ = near_limits_ = exceeds_limits_ = false;
+    nearest_mask_ = 0;
     balance = Balance::within_margin;
     effort = {};
   }
@@ -126,7 +128,7 @@ class GripForces {
   double most_change_ = 0.0;  // [N]
   Vec6 asked_{};              // wrench that the forces of this update balance
   UnitFrame unit_;            // of the touching contacts
-  double load_ = 0.0;         // [N] size of the wrench, unit frame
+  double load_ = 0.0;         // [N] largest component of the wrench, unit frame
   double most_normal_ = 0.0;  // [N] largest sum of moderate normal forces
   // margin of this update, if it is another one than the method's
   std::optional<Margin> margin_;
@@ -134,7 +136,8 @@ class GripForces {
   bool near_limits_ = false, exceeds_limits_ = false;
   // (N, 3) [N]: the last command, contact frames; the adjustment, object frame
   std::vector<double> last_force_, adjustment_;
-  Forces too_large_, nearest_;  // of this update: beyond the motors' limits; smallest imbalance
+  Forces too_large_, nearest_;      // beyond the motors' limits; those with the smallest imbalance
+  std::uint64_t nearest_mask_ = 0;  // fingers for which the last update found the latter
   std::vector<double> torques_, more_torques_;  // (M,) work space
 
   static const ForceOptimizer& checked(const ForceOptimizer& method, const HandModel& model) {
@@ -177,12 +180,11 @@ class GripForces {
       springs_.recover(period);
     else
       make_springs_give_way();
-    if (found && !is_overloaded())
-      bound_change();
-    else
-      find_less(found);
+    if (!found || is_overloaded()) return find_less(found);
+    bound_change();
+    nearest_mask_ = 0;
   }
-  // Set the size of the wrench, and the largest sum of normal forces that are moderate: not far
+  // Set the load, and the largest sum of normal forces that are moderate: not far
   // above what wrench and preloads call for. Close to the limit of what contacts can balance,
   // forces grow beyond all bounds, and crush or shoot away the object.
   void weigh() {
@@ -393,14 +395,15 @@ class GripForces {
     if (found) keep(too_large_);
     if (turns_freely()) return Balance::pivoting;
     balance_elastically();
+    keep(nearest_);
+    nearest_mask_ = mask_;
     if (is_nearly_balanced()) {
       near_limits_ = exceeds_limits_ = false;
       bound_plainly();
       return is_nearly_balanced() ? Balance::marginal : Balance::none;
     }
-    keep(nearest_);
     if (has_margin()) {
-      margin_ = Margin{};
+      const std::optional<Margin> wanted = std::exchange(margin_, Margin{});
       const bool taken = take(follow());
       if (taken && !is_overloaded()) {
         bound_change();
@@ -410,13 +413,19 @@ class GripForces {
         found = true;
         exceeds = exceeds_limits_;
         keep(too_large_);
+      } else {
+        margin_ = wanted;
       }
     }
-    restore(found ? too_large_ : nearest_);
     near_limits_ = found;
     exceeds_limits_ = found && exceeds;
+    restore(found ? too_large_ : nearest_);
+    if (found) {
+      bound_change();
+      return Balance::overloaded;
+    }
     bound_plainly();
-    return found ? Balance::overloaded : Balance::none;
+    return Balance::none;
   }
   // Contacts that resist all but a moment balance the rest within the margin.
   bool turns_freely() {
@@ -430,7 +439,7 @@ class GripForces {
       asked_ = state_->wrench();
       return false;
     }
-    is_overloaded() ? bound_plainly() : bound_change();
+    bound_change();
     return true;
   }
   // True if the motors can give the forces, and these balance nearly all of the wrench. A single
@@ -439,7 +448,7 @@ class GripForces {
     return std::popcount(mask_) > 1 && missing() <= std::min(LITTLE, LITTLE_SHARE * load_) &&
            can_give(force.data(), 1.0);
   }
-  // What the forces leave of the wrench [N], unit frame.
+  // Largest component [N] of what the forces leave of the wrench, unit frame.
   double missing() const {
     Vec6 left = asked_;
     each_finger(mask_, [&](int i) {
@@ -453,19 +462,21 @@ class GripForces {
     return method_.margin().friction < 1.0 ||
            std::ranges::any_of(springs_.preload, [](double s) { return s > 0.0; });
   }
-  // Minimise the imbalance within the margin, from the last forces.
+  // Minimise the imbalance within the margin, from the forces that did so last, or from the last
+  // ones.
   void balance_elastically() {
     Vec6 load = asked_;
     const Record last(last_row_.data());
+    const bool again = nearest_mask_ == mask_;
     // in addition to the preload of the margin: more, for springs, would push an object away that
     // is not held from all sides
     const auto margin = [&](int i) {
       return std::min(springs_.preload[i], springs_.given_preload(i));
     };
     each_finger(mask_, [&](int i) {
-      std::copy_n(&last_force_[3 * i], 3, &force[3 * i]);
+      std::copy_n(&(again ? nearest_.force : last_force_)[3 * i], 3, &force[3 * i]);
+      torsion[i] = again ? nearest_.torsion[i] : has_last_ ? last.torsion()[i] : 0.0;
       force[3 * i] -= margin(i);
-      torsion[i] = has_last_ ? last.torsion()[i] : 0.0;
       load = load + margin(i) * column(i, 0);
     });
     elastic_.solve(cones_.contacts, mask_, positions(), model_.frames.data(), load,
