@@ -4,53 +4,28 @@ changes."""
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
-from hands import kinematics_alone
+from held import (
+    FAST,
+    GRASP,
+    HOME,
+    JOINTS,
+    KINEMATICS,
+    NO_POSTURE,
+    NO_SPRINGS,
+    PERIOD,
+    made,
+    updated,
+)
 from numpy.testing import assert_allclose
 from scipy.linalg import null_space
 from scipy.spatial.transform import Rotation
 
 from grasp_env import core
-from grasp_env.control import Calibration, HandController, HandControllerSettings, HandState
-from grasp_env.grasp import presets
+from grasp_env.control import HandController, HandControllerSettings
 from grasp_env.sim import HandDescription, HandKinematics
-
-PERIOD = 1e-3
-GRASP = presets.paper_cuboid()
-KINEMATICS = kinematics_alone()
-HOME = np.array(KINEMATICS.home)
-JOINTS = len(HOME)
-NO_POSTURE = {"posture_stiffness": 0.0, "posture_damping": 0.0}
-NO_SPRINGS = {"grip_stiffness": 0.0, "grip_damping": 0.0, **NO_POSTURE}
-FAST = {"torque_rate": 1e6, "friction": float(np.ravel(GRASP.friction)[0])}
-
-
-def made(
-    limits: np.ndarray | None = None, hand: HandDescription = KINEMATICS.hand, **settings: Any
-) -> tuple[HandController, HandState]:
-    """A controller, by default of strong motors, and a state in which it holds 2 N."""
-    controller = HandController()
-    table = None
-    if limits is not None:
-        ends = np.column_stack([-limits, limits])
-        table = Calibration(ends, ends, resolution=0.0)
-    controller.configure(hand, HandControllerSettings(**{**FAST, **settings}), table)
-    state = controller.new_state()
-    state.angles = HOME.copy()
-    state.touching[:] = 1.0
-    state.positions[:] = GRASP.positions
-    state.normals[:] = GRASP.normals
-    state.wrench[1] = -2.0
-    controller.activate(state)
-    return controller, state
-
-
-def updated(controller: HandController, state: HandState, count: int = 1) -> None:
-    for _ in range(count):
-        controller.update(state, PERIOD)
 
 
 @pytest.mark.parametrize("soft", [0.0, 0.03])
