@@ -4,7 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from held import FRICTION, GRASP, JOINTS, NO_SPRINGS, PERIOD, made, net, sizes, torques_of, updated
+from held import (
+    FRICTION,
+    GRASP,
+    JOINTS,
+    NO_POSTURE,
+    NO_SPRINGS,
+    PERIOD,
+    made,
+    net,
+    sizes,
+    torques_of,
+    updated,
+)
 from numpy.testing import assert_allclose, assert_array_equal
 
 from grasp_env import core
@@ -162,6 +174,40 @@ def test_weak_motors_and_springs_do_not_chatter(seed):
         before = controller.force.copy()
 
 
+def test_a_load_that_rises_takes_the_preload_of_the_springs():
+    """Springs have raised the preload; then the load needs nearly all that weak motors have."""
+    plain, state = made(**NO_SPRINGS)
+    state.wrench[1] = -6.0
+    updated(plain, state, 50)
+    limits = 1.02 * np.abs(plain.torques).max() * np.ones(JOINTS)
+    controller, state = made(limits, **NO_POSTURE)
+    state.target[:3] = 0.0, 3e-4, 4e-4
+    updated(controller, state, 300)
+    assert (controller.arrays()["preload"] > 0.8).any()
+    state.wrench[1] = -6.0
+    for _ in range(30):
+        updated(controller, state)
+        assert controller.status == "holding"
+        assert_allclose(net(controller, controller.arrays()["optimal"]), -state.wrench, atol=1e-5)
+
+
+def test_springs_add_no_preload_where_nothing_balances():
+    """Three fingers of one side: more of it would push the object away."""
+    forces = []
+    for springs in (NO_SPRINGS, NO_POSTURE):
+        controller, state = made(preload=0.2, **springs)
+        state.touching[0] = 0.0
+        state.wrench[:] = 0.1, -0.5, -0.3, 0.0, 0.01, 0.02
+        state.target[:3] = 0.0, 1e-3, 0.0
+        controller.activate(state)
+        updated(controller, state, 200)
+        assert controller.status == "slipping"
+        forces.append(controller.arrays()["optimal"][1:])
+        raised = (controller.arrays()["preload"][1:] > 0.5).any()
+    assert raised
+    assert_allclose(forces[1], forces[0], atol=1e-6)
+
+
 @pytest.mark.parametrize("few", [False, True])
 def test_a_spring_leaves_the_cone_only_so_far(few):
     """By twice what the force is inside it and 1 N, with four fingers and with two."""
@@ -221,7 +267,7 @@ def test_the_last_forces_stay_when_knowledge_ends():
 
 
 @pytest.mark.parametrize("weight", [0.0, 0.03, 0.1, 0.3])
-@pytest.mark.parametrize("preload", [0.5, 2.0])
+@pytest.mark.parametrize("preload", [0.0, 0.5, 2.0])
 def test_a_light_object_gets_its_preload(weight, preload):
     controller, state = made(preload=preload)
     state.wrench[1] = -weight

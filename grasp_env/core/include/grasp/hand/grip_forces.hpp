@@ -4,7 +4,6 @@
 #include <grasp/hand/grip_springs.hpp>
 #include <grasp/optimizer.hpp>
 #include <grasp/phi/elastic.hpp>
-#include <utility>
 
 namespace grasp {
 
@@ -391,7 +390,6 @@ class GripForces {
     springs_.leave(mask_, model_.share_within(springs_.torques, torques_));
   }
   Balance balance_less(bool found) {
-    bool exceeds = exceeds_limits_;
     if (found) keep(too_large_);
     if (turns_freely()) return Balance::pivoting;
     balance_elastically();
@@ -403,7 +401,7 @@ class GripForces {
       return is_nearly_balanced() ? Balance::marginal : Balance::none;
     }
     if (has_margin()) {
-      const std::optional<Margin> wanted = std::exchange(margin_, Margin{});
+      margin_ = Margin{};
       const bool taken = take(follow());
       if (taken && !is_overloaded()) {
         bound_change();
@@ -411,21 +409,17 @@ class GripForces {
       }
       if (taken && !found) {
         found = true;
-        exceeds = exceeds_limits_;
         keep(too_large_);
-      } else {
-        margin_ = wanted;
       }
     }
-    near_limits_ = found;
-    exceeds_limits_ = found && exceeds;
+    near_limits_ = exceeds_limits_ = found;
     restore(found ? too_large_ : nearest_);
-    if (found) {
-      bound_change();
-      return Balance::overloaded;
+    if (!found) {
+      bound_plainly();
+      return Balance::none;
     }
-    bound_plainly();
-    return Balance::none;
+    bound_change();
+    return Balance::overloaded;
   }
   // Contacts that resist all but a moment balance the rest within the margin.
   bool turns_freely() {

@@ -341,8 +341,7 @@ class HandController {
     model.set_bias(forces.springs().torques);
     model.torques_of(pushing, forces.force.data(), forces.torsion.data(), wanted_);
     for (std::size_t j = 0; j < wanted_.size(); ++j) {
-      if (known_ < 1.0)
-        wanted_[j] = model.carrying[j] + known_ * (wanted_[j] - model.carrying[j]);
+      if (known_ < 1.0) wanted_[j] = model.carrying[j] + known_ * (wanted_[j] - model.carrying[j]);
       spring_torques[j] = known_ * forces.springs().torques[j];
     }
     set_force();
