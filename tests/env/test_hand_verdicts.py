@@ -22,12 +22,13 @@ from numpy.testing import assert_allclose, assert_array_equal
 from grasp_env import core
 
 
+@pytest.mark.parametrize("rate", [1e3, 1e9])
 @pytest.mark.parametrize("limit", [3, 40])
-def test_statuses_are_true_of_random_loads_contacts_and_motors(limit):
+def test_statuses_are_true_of_random_loads_contacts_and_motors(limit, rate):
     """`holding`: forces inside the margin balance the wrench. `marginal`: forces inside the cones do,
-    or forces inside the margin balance nearly all of it. Both are within the motors' limits, and
-    no larger than the load calls for. `slipping`: the wrench is not balanced. Forces that do not
-    balance change by at most 1 N in an update."""
+    or forces inside the margin balance nearly all of it. Both are within the motors' limits.
+    `slipping`: the wrench is not balanced. Forces are no larger than the load calls for, unless
+    their rate is bounded; then those that do not balance change by at most 1 N in an update."""
     seen = dict.fromkeys(("holding", "marginal", "overloaded", "slipping", "pivoting"), 0)
     for seed in range(120):
         rng = np.random.default_rng(seed)
@@ -35,7 +36,12 @@ def test_statuses_are_true_of_random_loads_contacts_and_motors(limit):
         share = rng.choice([0.5, 0.75, 1.0])
         given = rng.choice([0.0, 0.5])
         controller, state = made(
-            limits, friction_margin=share, preload=given, max_iterations=limit, **NO_SPRINGS
+            limits,
+            friction_margin=share,
+            preload=given,
+            max_iterations=limit,
+            force_rate=rate,
+            **NO_SPRINGS,
         )
         before = None
         for _ in range(12):
@@ -64,7 +70,7 @@ def test_statuses_are_true_of_random_loads_contacts_and_motors(limit):
                 if status in ("holding", "marginal"):
                     torques = torques_of(controller, state, force)
                     assert (np.abs(torques) <= limits * (1.0 + 1e-6)).all()
-                if status in ("holding", "marginal", "pivoting"):
+                if rate == 1e9 and status != "slipping":
                     most = 2.0 * preload.sum() + 4.0 * (1.0 + load / (share * FRICTION))
                     assert force[:, 0].sum() <= most * (1.0 + 1e-6)
                 if status == "holding":
@@ -75,7 +81,7 @@ def test_statuses_are_true_of_random_loads_contacts_and_motors(limit):
                     assert missing <= min(0.3, 0.2 * load) * (1.0 + 1e-6)
                 elif status == "slipping":
                     assert not balanced
-                if before is not None and not balanced and status != "pivoting":
+                if rate == 1e3 and before is not None and not balanced and status != "pivoting":
                     assert np.abs(force - before)[counts].max() <= 1.0 + 1e-9
                 before = force
     assert min(seen.values()) > 5, seen
@@ -189,6 +195,28 @@ def test_a_load_that_rises_takes_the_preload_of_the_springs():
         updated(controller, state)
         assert controller.status == "holding"
         assert_allclose(net(controller, controller.arrays()["optimal"]), -state.wrench, atol=1e-5)
+
+
+@pytest.mark.parametrize("fingers", [2, 3, 4])
+def test_constant_inputs_lead_to_constant_forces(fingers):
+    """Also where springs raise the preloads until forces within the margin are too large."""
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        soft = 0.005 * rng.integers(2)
+        preload = rng.choice([0.0, 0.5, 1.0])
+        controller, state = made(
+            friction_margin=0.6, preload=preload, torsional_friction=soft, **NO_POSTURE
+        )
+        state.touching[rng.permutation(4)[fingers:]] = 0.0
+        state.wrench[:] = rng.standard_normal(6) * np.repeat([0.8, 0.01], 3)
+        state.target[:3] = rng.standard_normal(3) * 1e-3
+        updated(controller, state, 400)
+        before = controller.force.copy()
+        for _ in range(40):
+            updated(controller, state)
+            # springs that gave way come back by a thousandth in an update
+            assert np.abs(controller.force - before).max() < 0.6, seed
+            before = controller.force.copy()
 
 
 def test_springs_add_no_preload_where_nothing_balances():

@@ -174,12 +174,11 @@ class GripForces {
     asked_ = state_->wrench();
     weigh();
     if (has_last_) lift_landed_forces();
-    const bool found = find_within_margin(step);
-    if (!found || !is_overloaded())
-      springs_.recover(period);
-    else
-      make_springs_give_way();
-    if (!found || is_overloaded()) return find_less(found);
+    bool found = find_within_margin(step);
+    const bool fits = found && !is_overloaded();
+    const bool gave_way = !fits && make_springs_give_way(found);
+    if (!gave_way) springs_.recover(period);
+    if (!fits && !gave_way) return find_less(found);
     bound_change();
     nearest_mask_ = 0;
   }
@@ -194,7 +193,7 @@ class GripForces {
     int fingers = 0;
     Point places[64];
     each_finger(mask_, [&](int i) {
-      preloads += springs_.preload[i];
+      preloads += std::min(springs_.preload[i], springs_.given_preload(i));
       friction = std::min(friction, cones_.friction(i));
       places[fingers++] = state_->position(i);
     });
@@ -233,16 +232,25 @@ class GripForces {
       keep_limits(has_last_ && near_limits_ ? last_row_ : numbers);
     return true;
   }
-  // The forces come first: less of the springs and of the preload that carries them, from this
-  // update on.
-  void make_springs_give_way() {
+  // The forces come first: less of the springs and of the preloads that carry them, from this
+  // update on. found: there are moderate forces within the margin, beyond the motors' limits; set
+  // to true if there are any on the way. Return true if they are within the limits.
+  bool make_springs_give_way(bool& found) {
+    if (!springs_.raise_preloads(mask_) && !(found && springs_.pull(mask_))) return false;
     for (double share : {0.98, 0.9, 0.7, 0.5, 0.0}) {
       springs_.leave(mask_, share);
       use_preload(mask_);
       model_.set_bias(springs_.torques);
-      keep_limits(has_last_ ? last_row_ : follow_row_);
-      if (!is_overloaded()) return springs_.give_way(share);
+      if (found)
+        keep_limits(has_last_ ? last_row_ : follow_row_);
+      else
+        found = take(follow());
+      if (found && !is_overloaded()) {
+        springs_.give_way(share);
+        return true;
+      }
     }
+    return false;
   }
   void set_force(const Record& row) {
     std::copy_n(row.force(), force.size(), force.data());
@@ -351,17 +359,18 @@ class GripForces {
     if (moved > most_change_)
       move_from(most_change_ / moved, last_force_.data(), Record(last_row_.data()).torsion());
   }
-  // The same towards the last command rebalanced, if that balances and is moderate: balance comes
-  // first.
+  // The same towards the last command rebalanced, if that balances and is nearer than the command
+  // itself: balance comes first, and close to the limit of what contacts can balance, rebalanced
+  // forces grow beyond all bounds.
   void bound_change() {
-    if (!has_last_ || change(last_force_.data()) <= most_change_) return;
+    const double wanted = has_last_ ? change(last_force_.data()) : 0.0;
+    if (wanted <= most_change_) return;
     const Record before(follow_row_.data(), int(torsion.size()));
     if (follow_.start(from_last(), follow_row_.data()) != STARTED ||
-        !(before.summary().residual <= ROUNDED * (1.0 + size(asked_))) ||
-        normal(before.force()) > most_normal_)
+        !(before.summary().residual <= ROUNDED * (1.0 + size(asked_))))
       return;
     const double moved = change(before.force());
-    if (moved <= most_change_) return;
+    if (moved <= most_change_ || moved >= wanted) return;
     move_from(within_limits(before, most_change_ / moved), before.force(), before.torsion());
   }
   // The smallest fraction >= `share` of the way from `before` to the forces that is within the
@@ -391,7 +400,7 @@ class GripForces {
   }
   Balance balance_less(bool found) {
     if (found) keep(too_large_);
-    if (turns_freely()) return Balance::pivoting;
+    if (!found && turns_freely()) return Balance::pivoting;
     balance_elastically();
     keep(nearest_);
     nearest_mask_ = mask_;
@@ -407,7 +416,7 @@ class GripForces {
         bound_change();
         return Balance::marginal;
       }
-      if (taken && !found) {
+      if (taken) {
         found = true;
         keep(too_large_);
       }
@@ -461,7 +470,7 @@ class GripForces {
   void balance_elastically() {
     Vec6 load = asked_;
     const Record last(last_row_.data());
-    const bool again = nearest_mask_ == mask_;
+    const bool again = has_last_ && nearest_mask_ == mask_;
     // in addition to the preload of the margin: more, for springs, would push an object away that
     // is not held from all sides
     const auto margin = [&](int i) {

@@ -36,6 +36,18 @@ class GripSprings {
     share_ = 1.0;
   }
   double given_preload(int i) const { return given_[i]; }
+  // One of the springs pulls.
+  bool pull(std::uint64_t mask) const {
+    bool any = false;
+    each_finger(mask, [&](int i) { any = any || dot(whole_[i], whole_[i]) > 0.0; });
+    return any;
+  }
+  // They need more than a given preload.
+  bool raise_preloads(std::uint64_t mask) const {
+    bool any = false;
+    each_finger(mask, [&](int i) { any = any || whole_preload_[i] > given_[i]; });
+    return any;
+  }
   // A preload differs from the given one.
   bool changes_preload(std::uint64_t mask) const {
     bool differs = false;
