@@ -175,10 +175,10 @@ class GripForces {
     weigh();
     if (has_last_) lift_landed_forces();
     bool found = find_within_margin(step);
-    const bool fits = found && !is_overloaded();
-    const bool gave_way = !fits && make_springs_give_way(found);
-    if (!gave_way) springs_.recover(period);
-    if (!fits && !gave_way) return find_less(found);
+    if (found && !is_overloaded())
+      springs_.recover(period);
+    else if (!make_springs_give_way(found))
+      return find_less(found);
     bound_change();
     nearest_mask_ = 0;
   }
