@@ -122,7 +122,8 @@ Arrays arrays(nb::handle self) {
   named["positions"] = part(self, POSITIONS, c.state());
   named["normals"] = part(self, NORMALS, c.state());
   named["torques"] = view(self, c.torques, {joints});
-  named["preload"] = view(self, const_cast<std::vector<double>&>(forces.springs().preload), {fingers});
+  named["preload"] =
+      view(self, const_cast<std::vector<double>&>(forces.springs().preload), {fingers});
   named["springs"] = view(self, c.spring_torques, {joints});
   named["force"] = view(self, c.force, {fingers, 3});
   named["optimal"] = view(self, forces.force, {fingers, 3});
