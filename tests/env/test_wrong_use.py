@@ -160,11 +160,11 @@ NOT_HELD = [
     pytest.param(
         {
             "hand": replace(
-                FOUR, links=tuple(replace(link, torque_limit=0.3) for link in FOUR.links)
+                FOUR, links=tuple(replace(link, torque_limit=0.15) for link in FOUR.links)
             ),
             "contact_points": POINTS,
         },
-        r"torque limits: .*_joint \(0\.3 N m\).*raise torque_limit",
+        r"torque limits: .*_joint \(0\.15 N m\).*raise torque_limit",
         marks=needs_bullet,
     ),
 ]

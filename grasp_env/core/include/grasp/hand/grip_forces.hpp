@@ -359,7 +359,7 @@ class GripForces {
     if (moved > most_change_)
       move_from(most_change_ / moved, last_force_.data(), Record(last_row_.data()).torsion());
   }
-  // The same towards the last command rebalanced, if that balances and is nearer than the command
+  // The same towards the last command rebalanced, if that balances and is as near as the command
   // itself: balance comes first, and close to the limit of what contacts can balance, rebalanced
   // forces grow beyond all bounds.
   void bound_change() {
@@ -370,7 +370,7 @@ class GripForces {
         !(before.summary().residual <= ROUNDED * (1.0 + size(asked_))))
       return;
     const double moved = change(before.force());
-    if (moved <= most_change_ || moved >= wanted) return;
+    if (moved <= most_change_ || moved > wanted + 0.5 * most_change_) return;
     move_from(within_limits(before, most_change_ / moved), before.force(), before.torsion());
   }
   // The smallest fraction >= `share` of the way from `before` to the forces that is within the
