@@ -123,7 +123,7 @@ def test_three_fingers_below_a_ball_do_not_throw_it(push):
 
 
 def test_weak_motors_get_forces_with_less_than_the_margin():
-    """Where those within the margin are too large for them, and those inside the cones are not."""
+    """The motors cannot give the forces within the margin, but they can give those inside the cones."""
     plain, state = made(friction_margin=0.4, preload=1.0, **NO_SPRINGS)
     state.wrench[1] = -6.0
     updated(plain, state, 50)

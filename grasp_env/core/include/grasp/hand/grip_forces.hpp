@@ -136,7 +136,7 @@ class GripForces {
   // (N, 3) [N]: the last command, contact frames; the adjustment, object frame
   std::vector<double> last_force_, adjustment_;
   Forces too_large_, nearest_;      // beyond the motors' limits; those with the smallest imbalance
-  std::uint64_t nearest_mask_ = 0;  // fingers for which the last update found the latter
+  std::uint64_t nearest_mask_ = 0;  // fingers for which the latter were found
   std::vector<double> torques_, more_torques_;  // (M,) work space
 
   static const ForceOptimizer& checked(const ForceOptimizer& method, const HandModel& model) {
@@ -182,9 +182,9 @@ class GripForces {
     bound_change();
     nearest_mask_ = 0;
   }
-  // Set the load, and the largest sum of normal forces that are moderate: not far
-  // above what wrench and preloads call for. Close to the limit of what contacts can balance,
-  // forces grow beyond all bounds, and crush or shoot away the object.
+  // Set the load, and the largest sum of normal forces that are moderate: not far above what wrench
+  // and preloads call for. Close to the limit of what contacts can balance, forces grow beyond all
+  // bounds, and crush or shoot away the object.
   void weigh() {
     constexpr double MUCH = 4.0, MUCH_PRELOAD = 2.0;
     constexpr double FEW = 1.0;  // [N]
@@ -193,7 +193,7 @@ class GripForces {
     int fingers = 0;
     Point places[64];
     each_finger(mask_, [&](int i) {
-      preloads += std::min(springs_.preload[i], springs_.given_preload(i));
+      preloads += springs_.own_preload(i);
       friction = std::min(friction, cones_.friction(i));
       places[fingers++] = state_->position(i);
     });
@@ -236,7 +236,7 @@ class GripForces {
   // update on. found: there are moderate forces within the margin, beyond the motors' limits; set
   // to true if there are any on the way. Return true if they are within the limits.
   bool make_springs_give_way(bool& found) {
-    if (!springs_.raise_preloads(mask_) && !(found && springs_.pull(mask_))) return false;
+    if (!springs_.raise_preloads(mask_) && !(found && springs_.any_pulls(mask_))) return false;
     for (double share : {0.98, 0.9, 0.7, 0.5, 0.0}) {
       springs_.leave(mask_, share);
       use_preload(mask_);
@@ -399,8 +399,10 @@ class GripForces {
     springs_.leave(mask_, model_.share_within(springs_.torques, torques_));
   }
   Balance balance_less(bool found) {
-    if (found) keep(too_large_);
-    if (!found && turns_freely()) return Balance::pivoting;
+    if (found)
+      keep(too_large_);
+    else if (turns_freely())
+      return Balance::pivoting;
     balance_elastically();
     keep(nearest_);
     nearest_mask_ = mask_;
@@ -473,18 +475,15 @@ class GripForces {
     const bool again = has_last_ && nearest_mask_ == mask_;
     // in addition to the preload of the margin: more, for springs, would push an object away that
     // is not held from all sides
-    const auto margin = [&](int i) {
-      return std::min(springs_.preload[i], springs_.given_preload(i));
-    };
     each_finger(mask_, [&](int i) {
       std::copy_n(&(again ? nearest_.force : last_force_)[3 * i], 3, &force[3 * i]);
       torsion[i] = again ? nearest_.torsion[i] : has_last_ ? last.torsion()[i] : 0.0;
-      force[3 * i] -= margin(i);
-      load = load + margin(i) * column(i, 0);
+      force[3 * i] -= springs_.own_preload(i);
+      load = load + springs_.own_preload(i) * column(i, 0);
     });
     elastic_.solve(cones_.contacts, mask_, positions(), model_.frames.data(), load,
                    settings_.follow.limit, force.data(), torsion.data());
-    each_finger(mask_, [&](int i) { force[3 * i] += margin(i); });
+    each_finger(mask_, [&](int i) { force[3 * i] += springs_.own_preload(i); });
     effort.followed += elastic_.iterations;
   }
   void keep(Forces& kept) const {

@@ -35,24 +35,19 @@ class GripSprings {
       std::fill(points->begin(), points->end(), Point{0.0, 0.0, 0.0});
     share_ = 1.0;
   }
-  double given_preload(int i) const { return given_[i]; }
+  // Preload of a finger [N] without what carries its spring.
+  double own_preload(int i) const { return std::min(preload[i], given_[i]); }
   // One of the springs pulls.
-  bool pull(std::uint64_t mask) const {
-    bool any = false;
-    each_finger(mask, [&](int i) { any = any || dot(whole_[i], whole_[i]) > 0.0; });
-    return any;
+  bool any_pulls(std::uint64_t mask) const {
+    return any(mask, [&](int i) { return dot(whole_[i], whole_[i]) > 0.0; });
   }
-  // They need more than a given preload.
+  // One of them needs more than the given preload.
   bool raise_preloads(std::uint64_t mask) const {
-    bool any = false;
-    each_finger(mask, [&](int i) { any = any || whole_preload_[i] > given_[i]; });
-    return any;
+    return any(mask, [&](int i) { return whole_preload_[i] > given_[i]; });
   }
   // A preload differs from the given one.
   bool changes_preload(std::uint64_t mask) const {
-    bool differs = false;
-    each_finger(mask, [&](int i) { differs = differs || preload[i] != given_[i]; });
-    return differs;
+    return any(mask, [&](int i) { return preload[i] != given_[i]; });
   }
 
   // Set the force of a spring [N], object frame, of a finger that pushes with a force (3,) [N],
@@ -106,7 +101,7 @@ class GripSprings {
     });
     push(mask);
   }
-  // From now on springs have this share of the one that they had: motors could not give more.
+  // From now on springs have this share of the one that they had.
   void give_way(double share) {
     constexpr double LEAST = 1e-3;
     share_ *= share > 0.0 ? share : share_ > LEAST ? 0.5 : 0.0;
@@ -125,8 +120,13 @@ class GripSprings {
   const double force_rate_;
   std::vector<double> given_, whole_preload_;  // (N,) [N]
   std::vector<Point> whole_, lasting_;         // (N,) [N], object frame: set by `begin`; filtered
-  double share_ = 1.0;                         // less where the motors cannot give all
+  double share_ = 1.0;                         // less where they stand in the way of the forces
 
+  template <class F> static bool any(std::uint64_t mask, F&& is) {
+    bool found = false;
+    each_finger(mask, [&](int i) { found = found || is(i); });
+    return found;
+  }
   // Normal force [N] that keeps the lasting force of a spring inside the cone.
   double carrying(int i) const {
     const double friction = cones_.friction(i);
