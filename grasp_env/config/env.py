@@ -17,6 +17,7 @@ from grasp_env.config.records import (
     AgentSettings,
     ControllerSettings,
     EpisodeLimits,
+    MotorSettings,
     PictureSettings,
     RewardSettings,
     SensorSettings,
@@ -159,6 +160,9 @@ class EnvConfig(Settings):
     )
     controller: ControllerSettings = setting(
         ControllerSettings(), record(ControllerSettings), "Controller: from forces to torques."
+    )
+    motors: MotorSettings = setting(
+        MotorSettings(), record(MotorSettings), "Motors and their errors."
     )
     agent: AgentSettings = setting(
         AgentSettings(), record(AgentSettings), "Actions and observations of an agent."

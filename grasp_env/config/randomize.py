@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from grasp_env.config.records import ControllerSettings, SensorSettings
+from grasp_env.config.records import ControllerSettings, MotorSettings, SensorSettings
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.inputs.arguments import as_array, call_user, choice
 from grasp_env.settings import Kind, described, to_json
@@ -25,6 +25,7 @@ _RECORDS = {
     "object": ObjectDescription,
     "sensors": SensorSettings,
     "controller": ControllerSettings,
+    "motors": MotorSettings,
 }
 RANDOM = {
     path: about.kind

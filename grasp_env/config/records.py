@@ -199,18 +199,6 @@ class ControllerSettings(Settings):
         "Largest rate of change of a torque, as a share of its limit per second.",
         unit="1/s",
     )
-    force_noise: float = setting(
-        0.0, real(NOT_NEGATIVE), "Relative standard deviation of delivered torques.", random=True
-    )
-    noise_time: float = setting(
-        0.004,
-        real(POSITIVE),
-        "Time between two draws of this noise, rounded up to control ticks.",
-        unit="s",
-    )
-    motor_strength: float = setting(
-        1.0, real(POSITIVE), "Delivered torque as a share of the commanded one.", random=True
-    )
     squeeze: float = setting(
         40.0, real(POSITIVE), "Total normal force of controllers that do not optimise.", unit="N"
     )
@@ -224,6 +212,57 @@ class ControllerSettings(Settings):
     def ticks(self, time: float) -> int:
         """Return a time [s] in whole control ticks, rounded up."""
         return math.ceil(time * self.rate - 1e-9)
+
+
+@dataclass(frozen=True)
+class MotorSettings(Settings):
+    """Motors of the hand, and errors that the controller does not know.
+
+    A motor delivers `strength` * (1 + noise + drift + gain error) of the commanded torque, within
+    its limit, and its joint has Coulomb friction. Errors differ from joint to joint. They begin
+    with the episode, when the hand already holds the object. The inertia of rotors belongs to the
+    hand: see `HandDescription.with_rotors`.
+
+    Example:
+        >>> MotorSettings(noise=0.05, friction=0.01).noise_time
+        0.004
+    """
+
+    strength: float = setting(
+        1.0, real(POSITIVE), "Delivered torque as a share of the commanded one.", random=True
+    )
+    noise: float = setting(
+        0.0,
+        real(NOT_NEGATIVE),
+        "Relative standard deviation of fast errors, drawn anew every `noise_time`.",
+        random=True,
+    )
+    noise_time: float = setting(
+        0.004,
+        real(NOT_NEGATIVE),
+        "Time between two draws, rounded up to control ticks; 0: at every tick.",
+        unit="s",
+    )
+    drift: float = setting(
+        0.0,
+        real(NOT_NEGATIVE),
+        "Relative standard deviation of slow errors, an Ornstein-Uhlenbeck process.",
+        random=True,
+    )
+    drift_time: float = setting(0.3, real(POSITIVE), "Its correlation time.", unit="s")
+    gain_error: float = setting(
+        0.0,
+        real(NOT_NEGATIVE),
+        "Relative standard deviation of each motor's gain, constant in an episode.",
+        random=True,
+    )
+    friction: float = setting(
+        0.0,
+        real(NOT_NEGATIVE),
+        "Coulomb friction of each joint with a motor, in N for a sliding one.",
+        unit="N m",
+        random=True,
+    )
 
 
 @dataclass(frozen=True)

@@ -118,9 +118,8 @@ def take_over(scene: Scene, loop: ForceLoop) -> None:
         if away > _LOST:
             break
     friction = (
-        f"the contact forces miss the weight by {error:.1%} ({_WEIGHT_ERROR:.0%} allowed); the solver assumes friction "
-        f"{loop.friction:.3g}, the object has {scene.config.object.friction:.3g}: lower friction_margin or friction_error, raise "
-        "barrier_weight or squeeze, or make the object lighter"
+        f"the contact forces miss the weight by {error:.1%} ({_WEIGHT_ERROR:.0%} allowed), with forces for {loop.margin.friction:.0%} of "
+        f"the friction {scene.config.object.friction:.3g}: lower friction_margin, raise barrier_weight, or make the object lighter"
     )
     raise SimulationError(
         f"the grasp did not settle within {SETTLING_TIME} s: {_causes(scene, weak, friction, True)}"

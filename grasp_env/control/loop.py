@@ -72,8 +72,13 @@ class ForceLoop:
     def __repr__(self) -> str:
         return f"ForceLoop({self.config.solver.method} from {rule_name(self.initial_force)})"
 
-    def begin(self, scene: Scene) -> None:
+    def begin(self, scene: Scene, mistaken: bool = False) -> None:
         """Prepare everything that depends on the object and the grasp.
+
+        Args:
+            scene: The scene.
+            mistaken: Assume the friction of the episode, with its error. Otherwise the true one:
+                the hand takes hold of the object without errors.
 
         Raises:
             GraspError: the planned contacts cannot hold an object.
@@ -84,7 +89,7 @@ class ForceLoop:
         controller = config.controller
         self.count = hand.finger_count
         self.scene = scene
-        assumed = hand.tip_friction * (1.0 + controller.friction_error)
+        assumed = hand.tip_friction * (1.0 + (controller.friction_error if mistaken else 0.0))
         self._friction = item.friction * assumed
         self._torsional_friction = item.torsional_friction * assumed
         self.margin = Margin(controller.friction_margin, controller.preload)

@@ -21,9 +21,9 @@ with need("sim"):
 from grasp_env.config import EnvConfig
 from grasp_env.config.env import as_config, keywords_to_json
 from grasp_env.control.loop import ForceLoop
-from grasp_env.control.sensing import NoiseRows
 from grasp_env.control.structure import finger_structure
 from grasp_env.env.annotate import Annotator
+from grasp_env.env.motors import Motors
 from grasp_env.env.observation import Observer, action_size
 from grasp_env.env.plan import Plan, make_plan
 from grasp_env.env.stage import Stage
@@ -293,12 +293,11 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
             choice(name, "reset option", ("wrench",))
             constant = as_wrench(value, "options['wrench']")
         self._started = False
+        scene.set_joint_friction(0.0)
         stage.set(self.np_random)
         self.episode = episode = stage.episode
         self._nominal_gravity = np.array(episode.gravity)
         self._measured_wrench = episode.sensors.wrench == "measured"
-        self._strength = episode.controller.motor_strength
-        self._noise = episode.controller.force_noise
         plan = make_plan(episode, self.np_random, scene.config.object.mass)
         if constant is not None:
             plan = replace(plan, wrench=np.tile(constant, (len(plan), 1)))
@@ -320,15 +319,13 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         self._mass_differs = not (plan.mass_factor == 1.0).all()
         self._last_row = len(plan) - 1
         self._loop.reset(self.np_random)
-        noise = np.random.default_rng(int(self.np_random.integers(2**63)))
-        self._motor_noise = NoiseRows(noise, len(self._torque_limits))
-        self._noise_ticks = episode.controller.ticks(episode.controller.noise_time)
+        self._motors = Motors(episode, self._torque_limits, int(self.np_random.integers(2**63)))
+        scene.set_joint_friction(episode.motors.friction)
         self._tick, self._time_without_closure = 0, 0.0
         self._failure, self._ended, self._started = "", False, True
         self._plan_acts = (
             self._gravity_differs or self._mass_differs or self._world_pushes is not None
         )
-        self._imperfect_motors = self._noise or self._strength != 1.0
         external, _ = self._apply_plan(scene, 0)
         self._observer.watch(scene.look(), self._loop)
         self._loop.rest(external, self._assumed_gravity(scene), self._targets[0])
@@ -467,18 +464,11 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
             torques = loop.tick(
                 external, assumed_gravity, self._targets[tick], k == 0, adjustment, forces
             )
-            scene.advance(self._delivered(torques) if self._imperfect_motors else torques, push)
+            scene.advance(torques if self._motors.ideal else self._motors(torques), push)
             self._tick += 1
             self._time_without_closure += loop.dt
             if loop.closure:
                 self._time_without_closure = 0.0
-
-    def _delivered(self, torques: list[float]) -> list[float]:
-        """Apply motor strength and noise to the commanded torques, then clip to the torque limits."""
-        if self._tick % self._noise_ticks == 0:
-            self._drawn_noise = 1.0 + self._noise * self._motor_noise()
-        delivered = np.array(torques) * (self._strength * self._drawn_noise)
-        return np.clip(delivered, -self._torque_limits, self._torque_limits).tolist()
 
     def _apply_plan(self, scene: Scene, tick: int) -> tuple[Array, list[float] | None]:
         """Apply the plan of a tick; return its wrench, object frame, and again for the simulator."""

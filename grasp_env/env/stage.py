@@ -185,4 +185,6 @@ class Stage:
     def _settle(self) -> None:
         self._loop.begin(self.scene)
         take_over(self.scene, self._loop)
+        if self.episode.controller.friction_error:
+            self._loop.begin(self.scene, mistaken=True)
         self._loop.settling = False

@@ -131,6 +131,16 @@ class Bullet(Simulator):
         """See `Simulator`."""
         bullet.setGravity(*gravity.tolist(), physicsClientId=self.client.number)
 
+    def set_joint_friction(self, torques: list[float]) -> None:
+        """See `Simulator`; a motor that holds speed zero with a bounded torque is Coulomb friction."""
+        bullet.setJointMotorControlArray(
+            self.world.hand,
+            self.world.joints,
+            bullet.VELOCITY_CONTROL,
+            forces=torques,
+            physicsClientId=self.client.number,
+        )
+
     def set_object(self, item: ObjectDescription) -> None:
         """See `Simulator`."""
         set_dynamics(self.client.number, self.world.object, item)

@@ -59,7 +59,7 @@ def scene_mjcf(
  integrator="{engine.integrator}" solver="Newton" iterations="{engine.solver_iterations}" tolerance="{engine.tolerance!r}"
  noslip_iterations="{engine.noslip_iterations}"><flag autoreset="disable"/></option>
 <default><geom condim="{4 if turning else 3}" friction="{hand.tip_friction**2!r} 0 0" {soft}/>
-<joint damping="0" armature="0" frictionloss="0" solreflimit="{spring}"/><equality {soft}/></default>
+<joint damping="0" armature="0" frictionloss="0" solreflimit="{spring}" solreffriction="{spring}" solimpfriction="{digits(engine.impedance)}"/><equality {soft}/></default>
 <asset>{"".join(meshes)}</asset>
 <worldbody>{tree}{_free_body(item, geoms)}</worldbody>
 <contact>{"".join(_excludes(hand))}</contact>

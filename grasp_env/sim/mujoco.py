@@ -122,6 +122,11 @@ class Mujoco(Simulator):
         self._open_data()
         self.model.opt.gravity[:] = gravity
 
+    def set_joint_friction(self, torques: list[float]) -> None:
+        """See `Simulator`."""
+        self._open_data()
+        self.model.dof_frictionloss[self._rates] = torques
+
     def set_object(self, item: ObjectDescription) -> None:
         """See `Simulator`."""
         self._open_data()

@@ -112,6 +112,17 @@ class Scene:
             self.simulator.set_gravity(gravity)
             self._core_is_current = False
 
+    def set_joint_friction(self, torque: float) -> None:
+        """Give each joint with a motor a Coulomb friction `torque` [N m], [N] for a sliding one.
+
+        `reset` does not undo it, `load` does.
+        """
+        if torque != self._joint_friction:
+            friction = np.zeros(self.config.hand.joint_count)
+            friction[self.kinematics.motors] = torque
+            self.simulator.set_joint_friction(friction.tolist())
+            self._joint_friction = torque
+
     def keep(self, name: str = "start") -> None:
         """Save the current state for `reset`, in place of an earlier one of that name."""
         self.simulator.keep(name)
@@ -186,6 +197,7 @@ class Scene:
 
     def _build(self, angles: Array) -> None:
         self.simulator.load(self.config, angles)
+        self._joint_friction = 0.0
         self.gravity = np.array(self.config.gravity, dtype=float)
         self.core = core.Scene.make(
             self.kinematics.tree, self.config.object.surface, self.config.gravity

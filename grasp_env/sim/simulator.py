@@ -46,6 +46,9 @@ class Simulator(Protocol):
     def set_gravity(self, gravity: Array) -> None:
         """Change gravity (3,) [m/s^2]."""
 
+    def set_joint_friction(self, torques: list[float]) -> None:
+        """Set the Coulomb friction (M,) of the joints [N m]; `load` sets it to zero."""
+
     def set_object(self, item: ObjectDescription) -> None:
         """Change the object's mass, inertia and friction. `reset` does not undo the change."""
 

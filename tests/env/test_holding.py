@@ -135,9 +135,9 @@ def test_an_estimated_wrench_holds(settings):
 @pytest.mark.parametrize(
     "settings",
     [
-        {"sensors.delay": 0.008, "controller.motor_strength": 0.98},
+        {"sensors.delay": 0.008, "motors.strength": 0.98},
         {"sensors.pose_noise": 1e-5},
-        {"controller.force_noise": 0.01},
+        {"motors.noise": 0.01},
         {"sensors.tactile_noise": 0.05, "sensors.wrench": "estimated"},
     ],
     ids=str,

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from engines import needs_bullet
 from episodes import random_object
 
 from grasp_env.config import ControllerSettings, EnvConfig, SensorSettings, SolverSettings
@@ -127,7 +126,7 @@ def test_what_is_drawn_reaches_the_episode():
         "mass": lambda rng: 0.1 + 0.1 * rng.random(),
         "friction": (0.4, 0.6),
         "gravity": lambda rng: (0.0, -9.81 + rng.uniform(-2.0, 2.0), 0.0),
-        "controller.motor_strength": (0.98, 1.0),
+        "motors.strength": (0.98, 1.0),
         "sensors.delay": lambda rng: 0.004 * rng.integers(3),
         "controller.friction_error": (-0.1, 0.1),
     }
@@ -154,7 +153,7 @@ def test_what_is_drawn_reaches_the_episode():
         )
         rows = np.array([env.step(ZERO)[0] for _ in range(5)]).tobytes()
         control = drawn.controller
-        numbers = (item.mass, drawn.gravity[1], control.motor_strength, control.friction_error)
+        numbers = (item.mass, drawn.gravity[1], drawn.motors.strength, control.friction_error)
         found.append((rows, *numbers))
     env.close()
     assert found[0] == found[3]
@@ -196,7 +195,7 @@ def test_motors_deliver_a_part_of_the_command():
     """The hold takes 0.4 N m of 12, so motors that deliver 40 times the command are cut."""
     largest = []
     for strength in (0.9, 40.0):
-        env = FourFingerGrasp(controller={"motor_strength": strength})
+        env = FourFingerGrasp(motors={"strength": strength})
         env.reset(seed=0)
         advance, loop = env.scene.advance, env._loop
 
@@ -216,30 +215,6 @@ def test_motors_deliver_a_part_of_the_command():
         env.close()
     assert len(largest) == 10
     assert max(largest) == 12.0
-
-
-@needs_bullet
-@pytest.mark.parametrize(
-    ("rate", "time", "ticks"), [(250, 0.004, 1), (1000, 0.004, 4), (250, 0.01, 3)]
-)
-def test_torque_noise_stays_for_its_time(rate, time, ticks):
-    """The same relative error of each joint for `noise_time`, whatever the control rate."""
-    controller = {"rate": rate, "force_noise": 0.05, "noise_time": time}
-    env = FourFingerGrasp(controller=controller, engine={"name": "bullet", "rate": 1000})
-    env.reset(seed=0)
-    advance, loop = env.scene.advance, env._loop
-    factors = []
-
-    def note(torques: list[float], push: Any) -> None:
-        factors.append(np.array(torques)[1] / loop.torques[1])
-        advance(torques, push)
-
-    env.scene.advance = note
-    env.step(ZERO)
-    env.close()
-    for k in range(1, len(factors)):
-        same = factors[k] == pytest.approx(factors[k - 1], rel=1e-12)
-        assert same == (k % ticks != 0)
 
 
 def test_a_rule_of_length_zero_is_drawn():

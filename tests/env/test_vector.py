@@ -19,7 +19,7 @@ NOISY = {
     "shape": "sphere",
     "disturbance": "random",
     "sensors.pose_noise": 1e-5,
-    "controller.force_noise": 0.01,
+    "motors.noise": 0.01,
     "sensors.delay": 0.004,
 }
 

@@ -22,7 +22,7 @@ SETTINGS: dict[str, Any] = {
     "sensors.delay": 0.008,
     "sensors.tactile_noise": 0.05,
     "sensors.pose_noise": 1e-5,
-    "controller.force_noise": 0.01,
+    "motors.noise": 0.01,
     "controller.friction_error": 0.1,
     "controller.friction_margin": 0.7,
     "solver.barrier_weight": 0.05,

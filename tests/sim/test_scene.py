@@ -34,6 +34,35 @@ def hold_still(scene: Scene, steps: int, wrench: np.ndarray | None = None) -> No
         scene.step(scene.look().gravity_torques, wrench)
 
 
+def test_joint_friction_opposes_motion(make_scene, engine):
+    """Torques below the friction move nothing; above it, what is left accelerates the joint.
+
+    Engines treat friction as stiff, not rigid: a joint at rest may creep by a thousandth of what it
+    would move without friction.
+    """
+    scene = make_scene(gravity=(0.0, 0.0, 0.0), engine=engine, **FREE)
+    kinematics = scene.kinematics
+    mass = kinematics.mass_matrix(scene.look().angles)
+    steps = 10
+    pushed = np.zeros(12)
+    pushed[3] = 0.05
+    speeds = []
+    for friction in (0.0, 0.06, 0.03):
+        scene.reset()
+        scene.set_joint_friction(friction)
+        for _ in range(steps):
+            scene.step(pushed)
+        speeds.append(scene.look().rates[3])
+    free, stuck, slowed = speeds
+    assert free == pytest.approx(
+        np.linalg.inv(mass)[3, 3] * 0.05 * steps * scene.timestep, rel=0.05
+    )
+    assert abs(stuck) < 1e-3 * free
+    still = np.flatnonzero(np.abs(pushed) == 0.0)
+    assert np.abs(scene.look().rates[still]).max() < 1e-3 * free  # they are held, too
+    assert slowed == pytest.approx(0.02 / mass[3, 3] * steps * scene.timestep, rel=0.1)
+
+
 @needs_bullet
 def test_changed_mass_and_friction(make_scene):
     """The hand's friction must stay 1: PyBullet resets it if some other options are set in the same

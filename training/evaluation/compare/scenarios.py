@@ -79,7 +79,7 @@ ERRORS: dict[str, dict[str, Any]] = {
     "friction": {"controller.friction_error": 0.25},
     "delay": {"sensors.delay": 0.010},
     "tactile": {"sensors.tactile_noise": 0.05},
-    "force": {"controller.force_noise": 0.05},
+    "force": {"motors.noise": 0.05},
 }
 SAFE_START = {"controller.friction_margin": 0.6}
 """Friction margin of the baselines if friction is over-estimated.
@@ -145,7 +145,7 @@ _ERROR_LABELS = {
     "friction": f"friction over-estimated by {100 * ALL_ERRORS['controller.friction_error']:g} %",
     "delay": f"everything measured {1e3 * ALL_ERRORS['sensors.delay']:g} ms late",
     "tactile": f"tactile noise {100 * ALL_ERRORS['sensors.tactile_noise']:g} %",
-    "force": f"motor torque noise {100 * ALL_ERRORS['controller.force_noise']:g} %",
+    "force": f"motor torque noise {100 * ALL_ERRORS['motors.noise']:g} %",
 }
 _OBJECT_LABELS = {"cube": "cube of 50 mm", "sphere": "sphere of 60 mm", "random": "random objects"}
 _PUSH_LABELS = {"gravity": "gravity", "random": "random wrench", "six_directions": "six pushes"}
