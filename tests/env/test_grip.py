@@ -66,9 +66,10 @@ class Bench:
 
 
 def stiffness(bench: Bench, wanted: float, late: float = 0.0) -> np.ndarray:
-    """Stiffness (N,) [N/m] of sampled springs: 0.5 / (mobility * time^2) at most."""
+    """Stiffness (N,) [N/m] of sampled springs: 0.5 / (mobility * time^2) at most; a delay counts one
+    and a half times."""
     mobility, _ = bench.kinematics.mobility(bench.kinematics.home)
-    return np.minimum(wanted, 0.5 / (mobility * (PERIOD + late) ** 2))
+    return np.minimum(wanted, 0.5 / (mobility * (PERIOD + 1.5 * late) ** 2))
 
 
 @pytest.mark.parametrize("late", [0.0, 0.002])
@@ -140,14 +141,14 @@ def test_a_tip_that_rolls_is_not_drawn_back():
         bench.run()
 
 
-def test_what_springs_pull_for_long_stays_inside_the_margin():
-    """The preload grows until forces and springs together use no more than the margin."""
+def test_what_springs_pull_for_long_stays_inside_the_cones():
+    """The preload grows until forces and springs together use no more than all of the friction."""
     bench = Bench(preload=0.2)
-    bench.state.target[:3] = 0.0, 3e-4, 0.0
+    bench.state.target[:3] = 0.0, 2e-4, 0.0
     bench.run(300)
     assert (bench.arrays["preload"] >= 0.2 - 1e-12).all()
-    assert (bench.arrays["preload"] > 0.3).any()
-    assert (bench.used(bench.controller.force) <= 0.8 + 1e-6).all()
+    assert ((bench.arrays["preload"] > 0.3) & (bench.arrays["preload"] < 1.0)).any()
+    assert (bench.used(bench.controller.force) <= 1.0 + 1e-6).all()
     optimal = bench.arrays["optimal"] - bench.arrays["preload"][:, None] * [1.0, 0.0, 0.0]
     assert (bench.used(optimal) <= 0.8 + 1e-9).all()
     assert GRASP.residual(bench.arrays["optimal"], bench.state.wrench) < 1e-8
@@ -272,10 +273,10 @@ def test_springs_leave_the_motors_to_the_balanced_part():
     assert GRASP.residual(bench.arrays["optimal"], bench.state.wrench) < 1e-7
 
 
-def needed(bench: Bench, share: float = 0.8) -> np.ndarray:
-    """Normal force (N,) [N] that keeps the springs inside the cones within the margin."""
+def needed(bench: Bench) -> np.ndarray:
+    """Normal force (N,) [N] with which the springs use all of the friction."""
     spring = bench.controller.force - bench.arrays["optimal"]
-    return np.hypot(spring[:, 1], spring[:, 2]) / (share * FRICTION) - spring[:, 0]
+    return np.hypot(spring[:, 1], spring[:, 2]) / FRICTION - spring[:, 0]
 
 
 def test_a_short_pull_hardly_raises_the_preload():
@@ -289,16 +290,18 @@ def test_a_short_pull_hardly_raises_the_preload():
     assert_allclose(bench.arrays["preload"], expected, rtol=1e-9, atol=1e-12)
 
 
-@pytest.mark.parametrize("given", [1.0, 2.0])
+@pytest.mark.parametrize("given", [0.1, 0.7, 2.0])
 def test_a_preload_that_carries_the_springs_is_enough(given):
-    """It is the larger of what is given and what the springs need."""
-    bench = Bench(preload=given)
-    bench.state.target[:3] = 0.0, 3e-4, 0.0
-    bench.run(300)
-    need = needed(bench)
-    assert ((need > 1.1) & (need < 1.9)).all()
-    # the springs settle within 1 s, the filter is 0.03 s behind: 3 % of them
-    assert_allclose(bench.arrays["preload"], np.maximum(given, need), rtol=0.04)
+    """It is the larger of what is given and what the springs need, at most 1 N."""
+    for way in (1.5e-4, 6e-4):
+        bench = Bench(preload=given)
+        bench.state.target[:3] = 0.0, way, 0.0
+        bench.run(300)
+        need = needed(bench)
+        assert ((need > 0.3) & (need < 0.9)).all() if way < 3e-4 else (need > 1.1).all()
+        # the springs settle within 1 s, the filter is 0.03 s behind: 3 % of them
+        expected = np.maximum(given, np.minimum(need, 1.0))
+        assert_allclose(bench.arrays["preload"], expected, rtol=0.04)
 
 
 def test_a_finger_that_lands_has_forgotten_its_springs():

@@ -103,7 +103,7 @@ def test_the_spring_of_a_free_finger_is_softened_by_the_delay_of_joints(late):
     after, here = pull()
     moved = here - there
     mobility, _ = KINEMATICS.mobility(HOME)
-    stiffness = min(60.0, 0.5 / (mobility[0] * (PERIOD + late) ** 2))
+    stiffness = min(60.0, 0.5 / (mobility[0] * (PERIOD + 1.5 * late) ** 2))
     assert_allclose(-((after - before) @ moved) / (moved @ moved), stiffness, rtol=1e-6)
     assert (stiffness < 60.0) == (late > 0.0)
 

@@ -55,7 +55,7 @@ class GripSprings {
   // out. A spring balances errors of the motors and pushes, which are no part of the command, so
   // the two may leave the cone; but far outside it, the spring would only turn the object.
   void set(int i, const Point& spring, const double* force, double torsion) {
-    constexpr double FAR = 2.0;    // times the distance of the force from the surface of its cone
+    constexpr double FAR = 4.0;    // times the distance of the force from the surface of its cone
     constexpr double SLACK = 1.0;  // [N] more
     const Point inward = model_.axis(i, 0);
     const double pull = dot(spring, inward) + 0.5 * force[0];
@@ -65,10 +65,9 @@ class GripSprings {
     forces[i] = beyond > room ? room / beyond * kept : kept;
   }
   // Begin an update with `forces` of the fingers of a mask, less their share, and set their
-  // preloads. The preload of a finger is that of the margin, and what keeps the lasting force of
-  // its spring inside the cone: |t + t'| <= mu (n - p + n') wherever |t| <= mu (n - p). It grows as
-  // fast as a force may, from zero when a finger lands. period: [s] since the last update. first:
-  // preloads are there at once.
+  // preloads. The preload of a finger is that of the margin, or a little more for a spring that
+  // pulls for long. It grows as fast as a force may, from zero when a finger lands. period: [s]
+  // since the last update. first: preloads are there at once.
   void begin(std::uint64_t mask, double period, bool first) {
     const double most = force_rate_ * period;
     const double part = period / (period + LASTING);
@@ -127,10 +126,11 @@ class GripSprings {
     each_finger(mask, [&](int i) { found = found || is(i); });
     return found;
   }
-  // Normal force [N] that keeps the lasting force of a spring inside the cone.
+  // Normal force [N] with which the lasting force of a spring uses all of the friction. It is
+  // bounded: errors of motors grow with the forces, and springs answer to these errors.
   double carrying(int i) const {
-    const double friction = cones_.friction(i);
-    return friction > 0.0 ? std::max(cones_.beyond(i, lasting_[i]) / friction, 0.0) : 0.0;
+    constexpr double MOST = 1.0;  // [N]
+    return std::clamp(cones_.lacking(i, lasting_[i]), 0.0, MOST);
   }
 };
 

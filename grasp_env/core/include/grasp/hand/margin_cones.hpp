@@ -29,10 +29,13 @@ class MarginCones {
     return side(i, force, torsion) - friction(i) * force[0];
   }
   // The same for a force in the object frame.
-  double beyond(int i, const Point& force) const {
-    const double parts[] = {dot(force, model_.axis(i, 0)), dot(force, model_.axis(i, 1)),
-                            dot(force, model_.axis(i, 2))};
-    return beyond(i, parts, 0.0);
+  double beyond(int i, const Point& force) const { return beyond(i, parts(i, force).data(), 0.0); }
+  // Normal force [N] that a force in the object frame lacks to use all of the friction, and not
+  // only the share of the margin; below 0: it has more. Infinite without friction.
+  double lacking(int i, const Point& force) const {
+    const std::array<double, 3> part = parts(i, force);
+    const double across = side(i, part.data(), 0.0);
+    return (across > 0.0 ? share_ * across / friction(i) : 0.0) - part[0];
   }
   // Share of all of the friction that a force uses; infinite without normal force.
   double used(int i, const double* force, double torsion) const {
@@ -43,6 +46,11 @@ class MarginCones {
  private:
   const HandModel& model_;
   double share_;
+
+  std::array<double, 3> parts(int i, const Point& force) const {
+    return {dot(force, model_.axis(i, 0)), dot(force, model_.axis(i, 1)),
+            dot(force, model_.axis(i, 2))};
+  }
 };
 
 }  // namespace grasp

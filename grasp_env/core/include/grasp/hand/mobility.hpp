@@ -86,16 +86,20 @@ struct Mobility {
   }
 };
 
-// The spring nearest to the wanted one that is stable; mobility: [1/kg] or [1/(kg m^2)], time: [s]
-// between two samples, and their age.
-inline Spring stable_spring(const Spring& wanted, double mobility, double time) {
+// The spring nearest to the wanted one that is stable; mobility: [1/kg] or [1/(kg m^2)], tick: [s]
+// between two samples, delay: [s] their age.
+inline Spring stable_spring(const Spring& wanted, double mobility, double tick, double delay) {
   // largest stiffness * time^2 / mass and damping * time / mass; sampled control without delay
   // diverges from 4 and 2
   constexpr double STIFFNESS = 0.5;
   constexpr double DAMPING = 1.0;
+  // Delay costs a spring more than a damper: otherwise tips ring that slip under torque noise, and
+  // creep half as far again.
+  constexpr double COST = 1.5;
   if (!(mobility > 0.0)) return {0.0, 0.0, wanted.limit};
-  return {std::min(wanted.gain, STIFFNESS / (mobility * time * time)),
-          std::min(wanted.damping, DAMPING / (mobility * time)), wanted.limit};
+  const double longer = tick + COST * delay;
+  return {std::min(wanted.gain, STIFFNESS / (mobility * longer * longer)),
+          std::min(wanted.damping, DAMPING / (mobility * (tick + delay))), wanted.limit};
 }
 
 }  // namespace grasp

@@ -31,21 +31,22 @@ class Springs {
         is_redundant_(is_redundant(*model.tree)) {
     constexpr double LIGHTEST = 0.03;  // [kg] tip for which reaching is critically damped
     const Mobility mobility(model.tree, home.data());
-    const double time = 1.0 / settings.rate + settings.joint_delay;
+    const auto stable = [&](const Spring& wanted, double of) {
+      return stable_spring(wanted, of, 1.0 / settings.rate, settings.joint_delay);
+    };
     for (double of : mobility.tips) {
-      grip_.push_back(stable_spring(settings.grip, of, time));
+      grip_.push_back(stable(settings.grip, of));
       const double damping =
           2.0 * std::sqrt(settings.reach_stiffness * std::max(LIGHTEST, 1.0 / of));
-      reach_.push_back(
-          stable_spring({settings.reach_stiffness, damping, settings.reach_limit}, of, time));
+      reach_.push_back(stable({settings.reach_stiffness, damping, settings.reach_limit}, of));
     }
     for (double of : mobility.joints) {
       const double damping =
           std::max(settings.posture_damping,
                    2.0 * std::sqrt(settings.posture_stiffness / std::max(of, 1.0)));
-      posture_.push_back(stable_spring({settings.posture_stiffness, damping}, of, time));
-      range_.push_back(stable_spring({END * settings.posture_stiffness, 0.0}, of, time));
-      roll_.push_back(stable_spring({ROLL * settings.posture_stiffness, 0.0}, of, time));
+      posture_.push_back(stable({settings.posture_stiffness, damping}, of));
+      range_.push_back(stable({END * settings.posture_stiffness, 0.0}, of));
+      roll_.push_back(stable({ROLL * settings.posture_stiffness, 0.0}, of));
     }
     reach_depth_ = settings.reach_force / settings.reach_stiffness;
     for (int i = 0; i < model.tree->fingers(); ++i) movers_.push_back(model.tree->movers(i));
