@@ -20,7 +20,9 @@ _QUIET, _SETTLED = 8, 4  # control ticks in a row at rest: of the fingers, of th
 # joint speed [rad/s] and kinetic energy [J] below which the fingers are at rest
 _SLOW, _ENERGY = 0.1, 1e-5
 _WEIGHT_ERROR = 0.01
-_MEAN_TIME = 4e-3  # [s] over which contact forces are averaged: single steps of an engine chatter
+# [s] over which contact forces are averaged: single steps of an engine chatter; the second time is
+# for light objects, whose speed chatters, too, though they stay in place
+_MEAN_TIME, _LONG_TIME = 4e-3, 0.05
 _NEAR, _LOST = 1e-3, 5e-3  # [m] from its place: accepted at the end of the settling; lost
 _AT_LIMIT = 1.0 - 1e-6  # share of a torque limit that counts as the limit
 _END, _STRAY = 5e-3, 0.05  # angle from a joint's limit [rad]; force of links on the object [N]
@@ -90,7 +92,9 @@ def take_over(scene: Scene, loop: ForceLoop) -> None:
     scale = float(np.linalg.norm(weight))
     error = np.inf
     ticks = round(SETTLING_TIME / loop.dt)
-    totals: deque[Array] = deque(maxlen=max(1, round(_MEAN_TIME / loop.dt)))
+    few = max(1, round(_MEAN_TIME / loop.dt))
+    totals: deque[Array] = deque(maxlen=max(few, round(_LONG_TIME / loop.dt)))
+    in_place = 0  # ticks in a row
     latest = ticks - 2 * _SETTLED
     weak = set[int]()
     for tick in range(ticks):
@@ -100,9 +104,10 @@ def take_over(scene: Scene, loop: ForceLoop) -> None:
         scene.advance(torques, None)
         snapshot = scene.look()
         totals.append(snapshot.rotation @ snapshot.forces.sum(axis=0))
-        total = sum(totals) / len(totals)
-        error = float(np.linalg.norm(total + weight)) / (
-            scale or max(float(np.abs(snapshot.forces).sum()), 1e-9)
+        least = scale or max(float(np.abs(snapshot.forces).sum()), 1e-9)
+        error, mean_error = (
+            float(np.linalg.norm(np.mean([*totals][-count:], axis=0) + weight)) / least
+            for count in (few, len(totals))
         )
         still = (
             np.abs(snapshot.linear).max() < _STILL
@@ -113,7 +118,9 @@ def take_over(scene: Scene, loop: ForceLoop) -> None:
         away = np.abs(snapshot.position).max()
         # fingers that cannot push in every direction leave the object slightly displaced
         steady = steady + 1 if still and away < (_PLACED if tick < latest else _NEAR) else 0
-        if steady == _SETTLED:
+        in_place = in_place + 1 if snapshot.touching.all() and away < _PLACED else 0
+        rests = 2 * tick > ticks and in_place >= len(totals) and mean_error < _WEIGHT_ERROR
+        if steady == _SETTLED or rests:
             return
         if away > _LOST:
             break
