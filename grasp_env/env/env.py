@@ -59,8 +59,8 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
 
     The forces become joint torques. A spring and damper hold each touching fingertip at its place
     on the object's target pose, see `controller.grip_stiffness`; where such a spring pulls for
-    long, the finger presses harder, so that the sum stays inside the cone. A finger without contact
-    reaches for its place. When a finger slips off or lands, the forces of all others restore
+    long, the finger presses up to 1 N harder, so that the sum stays inside the cone. A finger
+    without contact reaches for its place. When a finger slips off or lands, the forces of all others restore
     balance at the next tick. Any further change of a force component is limited to
     `controller.force_rate` [N/s], unless the torque limits require more.
 
