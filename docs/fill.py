@@ -27,7 +27,7 @@ from benchmarks.force.problems import load, names
 from benchmarks.force.report import by_contacts, by_entrant, by_track, pair_of
 from grasp_env.inputs.files import replacing
 from training.evaluation.report import holds_page, starts_page
-from training.evaluation.report.page import cell, claims_of, module_of
+from training.evaluation.report.page import cell, claims_of
 from training.evaluation.report.reproduce_page import RULES
 from training.evaluation.report.rl_page import AGENTS, SPEEDS, place
 from training.evaluation.report.starts_page import pair
@@ -69,10 +69,6 @@ PLAIN = {
         for method, name in LAYERS.items()
         if method.startswith("cvxpylayers")
     },
-    "all four errors: rate of the paper's pipeline minus that of constant squeeze, each at its chosen setting": (
-        "our holding rate minus that of a constant-squeeze controller, with errors in friction, delay, tactile sensing and torque all present",
-        "",
-    ),
     "cost of a step over the bare PyBullet calls, median of pairs": (
         "environment step time / time of its PyBullet calls",
         "",
@@ -92,9 +88,7 @@ def force_rows() -> tuple[Rows, dict[str, Any]]:
 def saved(kind: str) -> tuple[Rows, dict[str, Any]]:
     """Return the summary of a saved run, with its settings and machine."""
     about = json.loads((RESULTS / f"{kind}.json").read_text(encoding="utf-8"))
-    shown = module_of(about)
-    means = read(RESULTS / f"{kind}.csv")
-    return getattr(shown, "derive", lambda means: means)(means), about
+    return read(RESULTS / f"{kind}.csv"), about
 
 
 def judged(kind: str) -> list[Verdict]:

@@ -22,7 +22,7 @@ class Scenario:
 
     Attributes:
         case: a key of `LABELS`.
-        keys: the other key columns of its rows: controller, hand, friction_margin, squeeze.
+        keys: the other key columns of its rows, such as controller and hand.
         episodes: number of episodes in each engine.
         settings: settings of the environment, JSON-able.
         engines: keys of `ENGINES`; the others are compared with the first.
@@ -74,21 +74,6 @@ CONTROLLERS: dict[str, dict[str, Any]] = {
     "constant_squeeze": {"controller.kind": "constant_squeeze"},
     "pd": {"controller.kind": "pd"},
 }
-BASELINES = ("constant_squeeze", "pd")
-ERRORS: dict[str, dict[str, Any]] = {
-    "friction": {"controller.friction_error": 0.25},
-    "delay": {"sensors.delay": 0.010},
-    "tactile": {"sensors.tactile_noise": 0.05},
-    "force": {"motors.noise": 0.05},
-}
-SAFE_START = {"controller.friction_margin": 0.6}
-"""Friction margin of the baselines if friction is over-estimated.
-
-All controllers start from the optimised grasp, which settles with it.
-"""
-ALL_ERRORS: dict[str, Any] = {
-    name: value for error in ERRORS.values() for name, value in error.items()
-}
 RANDOM_WRENCH: dict[str, Any] = {
     "disturbance": {"name": "random", "force": 2.0, "moment": 0.06},
     "duration": 4.0,
@@ -97,13 +82,6 @@ WEAK_WRENCH: dict[str, Any] = {
     "disturbance": {"name": "random", "force": 0.6, "moment": 0.02},
     "duration": 4.0,
 }
-CURVES: dict[str, dict[str, Any]] = {
-    "mild": {**ERRORS["friction"], **ERRORS["force"], **SAFE_START},
-    "all": {**ALL_ERRORS, **SAFE_START},
-}
-"""Scenarios in which the friction margin or the squeeze is varied."""
-MARGINS = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 1.0)
-SQUEEZES = (10.0, 20.0, 40.0, 60.0, 80.0, 120.0)
 SMALL_OBJECTS: dict[str, Any] = {
     "randomize": {"shape": True, "size": (0.04, 0.08), "mass": (0.05, 0.3), "friction": (0.5, 1.0)}
 }
@@ -141,12 +119,6 @@ HOLDS_OF_STARTS: dict[str, dict[str, Any]] = {
 RANDOM_STARTS = ("random", "late", "unknown", "impulses")
 """Those of them that are random."""
 
-_ERROR_LABELS = {
-    "friction": f"friction over-estimated by {100 * ALL_ERRORS['controller.friction_error']:g} %",
-    "delay": f"everything measured {1e3 * ALL_ERRORS['sensors.delay']:g} ms late",
-    "tactile": f"tactile noise {100 * ALL_ERRORS['sensors.tactile_noise']:g} %",
-    "force": f"motor torque noise {100 * ALL_ERRORS['motors.noise']:g} %",
-}
 _OBJECT_LABELS = {"cube": "cube of 50 mm", "sphere": "sphere of 60 mm", "random": "random objects"}
 _PUSH_LABELS = {"gravity": "gravity", "random": "random wrench", "six_directions": "six pushes"}
 LABELS: dict[str, str] = {
@@ -154,15 +126,10 @@ LABELS: dict[str, str] = {
     "six_directions": "random objects, six pushes of 10 N/kg, 2 s each",
     "path_0.25": "0.1 m cuboid, W_ext(t) x 0.25",
     "path_1": "0.1 m cuboid, W_ext(t) x 1",
-    **_ERROR_LABELS,
-    "mild": f"{_ERROR_LABELS['friction']}, {_ERROR_LABELS['force']}, no delay",
-    "all": "all four errors",
     "weak": "random objects, weak random wrench",
     "contacts": "random wrench, contacts of other kinds",
     "margin": "random wrench, friction margin 0.7",
     "estimated": "wrench estimated",
-    "friction_force": "friction +25 %, torque noise 5 %, margin 0.6",
-    "all_safe": "all four errors, margin 0.6",
     "squeeze": "constant squeeze",
     "pd": "PD only",
     **{
@@ -195,47 +162,22 @@ CONTROLLER_LABELS = {
 def controllers_plan(episodes: int, quick: bool = False) -> list[Scenario]:
     """Plan the four-finger hand's scenarios with all controllers.
 
-    The main scenarios have `episodes`; those with errors at most 100 (60 for varied settings of
-    baselines); the six directions an eighth for controllers other than the paper's.
+    The six directions have an eighth of the `episodes` for controllers other than the paper's.
     """
-    robust, long = (episodes, episodes) if quick else (min(episodes, 100), max(1, episodes // 8))
+    eighth = episodes if quick else max(1, episodes // 8)
 
-    def scenario(
-        case: str,
-        key: str,
-        count: int,
-        settings: dict[str, Any],
-        swept: dict[str, float] | None = None,
-    ) -> Scenario:
-        swept = swept or {}
-        varied = {f"controller.{name}": value for name, value in swept.items()}
-        settings = {**settings, **CONTROLLERS[key], **varied}
-        keys = {"controller": key, **swept}
-        return Scenario(case, keys, count, settings, random_objects=not case.startswith("path"))
+    def scenario(case: str, key: str, count: int, settings: dict[str, Any]) -> Scenario:
+        settings = {**settings, **CONTROLLERS[key]}
+        random = not case.startswith("path")
+        return Scenario(case, {"controller": key}, count, settings, random_objects=random)
 
     plan = [scenario("objects", key, episodes, RANDOM_WRENCH) for key in CONTROLLERS]
     for key in CONTROLLERS:
-        count = episodes if key == "paper" else long
+        count = episodes if key == "paper" else eighth
         plan.append(scenario("six_directions", key, count, {"task": "six_directions"}))
     for scale in (0.25, 1.0):  # deterministic: one episode suffices
         path = {"disturbance": {"name": "paper_path", "scale": scale}, "duration": 4.0}
         plan += [scenario(f"path_{scale:g}", key, 1, path) for key in CONTROLLERS]
-    for error, settings in ERRORS.items():
-        for key in CONTROLLERS:
-            start = SAFE_START if error == "friction" and key in BASELINES else {}
-            plan.append(scenario(error, key, robust, {**RANDOM_WRENCH, **settings, **start}))
-    margins, squeezes = ((0.6, 0.85), (20.0, 60.0)) if quick else (MARGINS, SQUEEZES)
-    for case, settings in CURVES.items():
-        for key in CONTROLLERS:
-            if key != "estimated":
-                name, values = (
-                    ("squeeze", squeezes) if key in BASELINES else ("friction_margin", margins)
-                )
-                count = robust if key == "paper" else min(robust, 60)
-                plan += [
-                    scenario(case, key, count, {**RANDOM_WRENCH, **settings}, {name: value})
-                    for value in values
-                ]
     return plan
 
 
@@ -260,8 +202,6 @@ def transfer_plan(hands: Sequence[str], episodes: int) -> list[Scenario]:
             ("margin", (*BOTH, "pyramidal", "soft"), third, {"controller.friction_margin": 0.7}),
             ("six_directions", BOTH, third, {"task": "six_directions"}),
             ("estimated", (*BOTH, "bullet_1000"), episodes, CONTROLLERS["estimated"]),
-            ("friction_force", BOTH, third, CURVES["mild"]),
-            ("all_safe", BOTH, third, CURVES["all"]),
             ("squeeze", BOTH, third, CONTROLLERS["constant_squeeze"]),
             ("pd", BOTH, third, CONTROLLERS["pd"]),
         ):

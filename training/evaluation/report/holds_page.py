@@ -8,15 +8,14 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from training.evaluation.compare.scenarios import (
-    BASELINES,
     BOTH,
     CONTROLLER_LABELS,
-    CURVES,
     LABELS,
 )
 from training.evaluation.report.page import axes
 from training.evaluation.results.claims import Claim
-from training.evaluation.results.table import Rows, chosen, numbers, pd
+from training.evaluation.results.columns import KEYS
+from training.evaluation.results.table import Rows, chosen, pd
 from training.evaluation.results.words import number
 
 TITLE = "Hold rates of simulated hands"
@@ -29,8 +28,6 @@ WORDS = {
     "held": "The object was not dropped and did not move by more than the task allows, to the end of the episode. No fingertip slid on it by more than 3 mm or penetrated it by more than 0.5 mm, and links other than fingertips never pushed it with more than 10 % of the load.",
     "drift": "Largest distance of the object in an episode from where it was grasped; only for episodes in which it was held.",
     "squeeze": "Sum of the normal forces.",
-    "friction margin": "Share of the friction that the solver may use: a reserve against friction estimated too high.",
-    "chosen": "Among the values of a varied setting, the least squeeze that holds 99 % of the episodes; if none does, the value that holds most.",
     "interval": "95 % Wilson interval of a rate.",
 }
 TARGET_RATE = 0.99
@@ -62,17 +59,6 @@ CLAIMS = {
             f"case == 'path_0.25' and {_PAPER}",
             "drift_max < 0.1 mm",
         ),
-        *(
-            Claim.of(
-                f"{LABELS[case]}: rate of the paper's pipeline minus that of {CONTROLLER_LABELS[key]}, each at its chosen setting",
-                f"case == '{case}' and {_PAPER} and chosen",
-                "held_mean >= 0",
-                f"case == '{case}' and controller == '{key}' and chosen",
-                difference=True,
-            )
-            for case in CURVES
-            for key in BASELINES
-        ),
     ),
     "transfer": tuple(
         Claim.of(
@@ -95,22 +81,6 @@ CLAIMS = {
 }
 
 
-def derive(means: Rows) -> Rows:
-    """Add a column to the summary that marks the chosen row of every varied setting."""
-    swept = [name for name in ("friction_margin", "squeeze") if name in means.columns]
-    if not swept:
-        return means
-    out = means.assign(chosen=False)
-    for _, curve in means.groupby(["case", "controller"], sort=False):
-        for name in swept:
-            rows = curve[curve[name].notna()].sort_values(name, ascending=name == "squeeze")
-            if len(rows):
-                enough = rows[rows["held_mean"] >= TARGET_RATE]
-                best = enough.index[0] if len(enough) else rows["held_mean"].idxmax()
-                out.loc[best, "chosen"] = True
-    return out
-
-
 def held_cell(row: dict[str, Any]) -> str:
     """Return the held and the total number of episodes, and the squeeze.
 
@@ -125,24 +95,16 @@ def held_cell(row: dict[str, Any]) -> str:
 
 def names_of(row: dict[str, Any]) -> str:
     """Return the keys of a row besides its case, in words."""
-    keys = ("hand", "object", "engine", "controller", "start", "friction_margin", "squeeze")
+    keys = ("hand", "object", "engine", "controller", "start")
     values = [row[key] for key in keys if key in row and not pd.isna(row[key])]
-    return ", ".join(
-        CONTROLLER_LABELS.get(str(value), f"{value:g}" if isinstance(value, float) else str(value))
-        for value in values
-    )
+    return ", ".join(CONTROLLER_LABELS.get(str(value), str(value)) for value in values)
 
 
 def arranged(means: Rows) -> tuple[Rows, str, list[str]]:
-    """Return the rows to show, the key of a grid's columns, and the keys of its rows.
-
-    Of a varied setting only the chosen row is shown.
-    """
+    """Return the rows to show, the key of a grid's columns, and the keys of its rows."""
     rows: Rows = (
         means[means["held_mean"].notna()] if "held_mean" in means.columns else means.iloc[:0]
     )
-    if "chosen" in rows.columns:
-        rows = rows[rows["chosen"] | ~rows["case"].isin(list(CURVES))]
     varied = [
         key
         for key in ("controller", "start", "engine", "hand", "object")
@@ -189,37 +151,11 @@ def rates_figure(rows: Rows, means: Rows) -> Figure | None:
     return figure
 
 
-def curves_figure(rows: Rows, means: Rows) -> Figure | None:
-    """Draw the hold rate against the squeeze, for varied friction margin or squeeze."""
-    if "chosen" not in means.columns:
-        return None
-    figure, panel = axes(3.0)
-    for case, style in zip(CURVES, ("-", "--"), strict=True):
-        for key, colour in zip(
-            ("paper", *BASELINES), ("#2f7fd8", "#e0463e", "#8a8a8b"), strict=True
-        ):
-            curve = means[(means["case"] == case) & (means["controller"] == key)].sort_values(
-                "normal_force_mean"
-            )
-            look = {"marker": "o", "markersize": 3, "color": colour}
-            label = f"{CONTROLLER_LABELS[key]}, {case}"
-            force = numbers(curve, "normal_force_mean")
-            panel.plot(force, numbers(curve, "held_mean"), style, label=label, **look)
-    panel.set(xlabel="sum of the normal forces, mean [N]", ylabel="share held", ylim=(0, 1.02))
-    panel.legend(fontsize=7.5, frameon=False)
-    return figure
-
-
 FIGURES = (
     (
         "Hold rates",
-        "Per cent of the episodes that were held; for a varied setting, at the chosen value.",
+        "Per cent of the episodes that were held.",
         rates_figure,
-    ),
-    (
-        "The cost of robustness",
-        "Hold rate against squeeze; solid: friction and torque errors, dashed: all four errors.",
-        curves_figure,
     ),
 )
 
@@ -253,8 +189,7 @@ def failures(rows: Rows, means: Rows) -> Rows:
     lost = chosen(rows, "held == False")
     if lost.empty:
         return lost
-    names = ("case", "hand", "object", "engine", "controller", "friction_margin", "squeeze")
-    keys = [key for key in (*names, "failure") if key in lost.columns]
+    keys = [key for key in (*KEYS, "failure") if key in lost.columns]
     lost = lost.assign(detail=lost.get("detail", pd.Series("", lost.index)))
     columns = {
         "count": ("seed", "size"),
@@ -269,7 +204,7 @@ def failures(rows: Rows, means: Rows) -> Rows:
 TABLES = (
     (
         "Episodes held",
-        "Held of all, and the mean of the measured normal force; for a varied setting, at the chosen value.",
+        "Held of all, and the mean of the measured normal force.",
         grid,
     ),
     (

@@ -70,15 +70,14 @@ def write(run: Run) -> tuple[Path, list[Verdict]]:
         page_module = module_of(about)
         means = summary(rows)
         write_summary(run.path("summary.csv"), means)
-        derived = getattr(page_module, "derive", lambda means: means)(means)
-        claims = judge(claims_of(about), derived)
+        claims = judge(claims_of(about), means)
         figures = []
         for title, caption, draw in getattr(page_module, "FIGURES", ()):
-            if (figure := draw(rows, derived)) is not None:
+            if (figure := draw(rows, means)) is not None:
                 image = base64.b64encode(svg(figure).encode()).decode("ascii")
                 figures.append((title, caption, image, f"{title}. {caption}"))
         tables = [
-            (title, note, make(rows, derived))
+            (title, note, make(rows, means))
             for title, note, make in getattr(page_module, "TABLES", [_SUMMARY_TABLE])
         ]
         names = [*rows.columns]
