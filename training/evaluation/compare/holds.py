@@ -29,22 +29,32 @@ from grasp_env.sim.grasping.pads import with_soft_contacts
 from grasp_env.sim.grasping.points import FRICTION_MARGIN, grasp_points
 from grasp_env.sim.hand.description import HANDS, HandDescription
 from training.data.episodes import episode
-from training.evaluation.compare import scenarios, soft_tips
+from training.evaluation.compare import errors, scenarios, soft_tips
+from training.evaluation.compare.errors import Stage
 from training.evaluation.compare.scenarios import (
     ENGINES,
     HOLDS_OF_STARTS,
     RANDOM_STARTS,
+    RATES,
     Scenario,
     mesh_settings,
     short_name,
 )
 from training.evaluation.results.run import Run, check_counts
 from training.evaluation.results.shards import map_shards
-from training.evaluation.results.table import pd, table
+from training.evaluation.results.table import join, pd, summary, table
 
 NO_START, NOT_PLACED = "no_start", "not_placed"
 """Failures: the grasp did not close or settle; no pose of hand or fingers was found."""
-QUICK_EPISODES = {"env": 4, "hands": 2, "objects": 2, "transfer": 2, "soft": 4}
+USUAL_EPISODES = {
+    "env": 500,
+    "hands": 100,
+    "objects": 10,
+    "transfer": 300,
+    "soft": 200,
+    "errors": 100,
+}
+QUICK_EPISODES = {"env": 4, "hands": 2, "objects": 2, "transfer": 2, "soft": 4, "errors": 1}
 _CHUNK = 4
 """Number of seeds in a shard."""
 _REDRAWS = 100
@@ -63,8 +73,9 @@ class HoldsConfig:
     Attributes:
         kind: "env" (controllers of the four-finger hand), "hands" (hands against objects and
             disturbances), "objects" (the same with objects from mesh files), "transfer" (the same
-            hands in both engines) or "soft" (soft fingertips in both engines).
-        hands, engines, episodes, objects, seed, quick: the options of `grasp evaluate`.
+            hands in both engines), "soft" (soft fingertips in both engines) or "errors" (controllers
+            under errors of a real hand).
+        hands, engines, episodes, objects, seed, tuning, quick: the options of `grasp evaluate`.
     """
 
     kind: str = "env"
@@ -74,16 +85,17 @@ class HoldsConfig:
     seed: int = 0
     quick: bool = False
     objects: tuple[str, ...] = ()
+    tuning: int = 0
 
     def __post_init__(self) -> None:
         hint = ", or the path of a URDF, xacro or MJCF file that exists"
         with AllFaults() as check:
-            check(check_counts, self, {"episodes": 0, "seed": 0})
+            check(check_counts, self, {"episodes": 0, "seed": 0, "tuning": 0})
             for name in self.hands:
                 if not os.path.isfile(name):
                     check(choice, name, "hand", HANDS, hint)
             for name in self.engines:
-                check(choice, name, "engine", ENGINES)
+                check(choice, name, "engine", RATES if self.kind == "errors" else ENGINES)
         hands = [short_name(name) for name in self.hands]
         objects = [mesh_settings(text)[0] for text in self.objects]
         for what, names in (("hands", hands), ("objects", objects)):
@@ -94,10 +106,24 @@ class HoldsConfig:
         if self.kind in ("hands", "objects") and not self.hands:
             raise InvalidInputError("name at least one hand, got none")
 
+    def stages(self) -> list[Stage]:
+        """Return the plans that follow each other; most kinds have one."""
+        if self.kind != "errors":
+            plan = self.plan()
+            return [lambda rows: plan]
+        hands = scenarios.PRESETS[:1] if self.quick else scenarios.PRESETS
+        engines = self.engines or scenarios.BOTH
+        tuning = self._episodes if self.quick else self.tuning or USUAL_EPISODES[self.kind]
+        return errors.Errors(self.hands or hands, engines, tuning, self._episodes).stages()
+
+    @property
+    def _episodes(self) -> int:
+        usual = USUAL_EPISODES[self.kind]
+        return QUICK_EPISODES[self.kind] if self.quick else self.episodes or usual
+
     def plan(self) -> list[Scenario]:
-        """Return the scenarios."""
-        usual = {"env": 500, "hands": 100, "objects": 10, "transfer": 300, "soft": 200}[self.kind]
-        episodes = QUICK_EPISODES[self.kind] if self.quick else self.episodes or usual
+        """Return the scenarios of a kind with one stage."""
+        episodes = self._episodes
         if self.kind == "env":
             return scenarios.controllers_plan(episodes, self.quick)
         if self.kind in ("hands", "objects"):
@@ -121,31 +147,46 @@ def run(
     `folder` keeps finished shards, `plan` replaces the scenarios of the config; for `on` and
     `workers` see `map_shards`.
     """
-    plan = config.plan() if plan is None else plan
-    engines = {engine for scenario in plan for engine in scenario.engines}
-    for name in {ENGINES[engine]["engine"]["name"] for engine in engines}:
-        class_of(engine_of(name), "simulator")  # reports a missing engine here, not in the workers
     for name in config.hands:
         if name not in HANDS:
             _print_repairs(lambda name=name: HandDescription.from_file(name))
     for text in config.objects:  # cut into convex pieces once, here
         _print_repairs(lambda text=text: ObjectDescription(**mesh_settings(text)[1]["object"]))
-    shards: dict[str, Shard] = {}
-    for scenario in plan:
-        seeds = range(config.seed, config.seed + scenario.episodes)
-        for k in range(0, len(seeds), _CHUNK):
-            shards[f"{scenario.name}/{k:05d}"] = scenario, seeds[k : k + _CHUNK]
     keep = folder and folder.shards
-    rows, mapped = map_shards(work, shards, on=on, workers=workers, keep=keep, label="episodes")
+    tables, maps, played = list[pd.DataFrame](), list[dict[str, Any]](), list[Scenario]()
+    for stage in config.stages() if plan is None else [lambda rows: list(plan)]:
+        following = stage(join(tables))
+        shards = _shards(following, config.seed)
+        rows, mapped = map_shards(work, shards, on=on, workers=workers, keep=keep, label="episodes")
+        tables.append(rows)
+        maps.append(mapped)
+        played += following
+    rows = join(tables)
+    seconds = {name: sum(each[name] for each in maps) for name in ("wall_seconds", "cpu_seconds")}
     about = {
         "kind": config.kind,
         "settings": asdict(config),
         "quick": config.quick,
-        "scenarios": [asdict(scenario) for scenario in plan],
-        "steps_per_second": _speeds(plan),
-        "map": mapped,
+        "scenarios": [asdict(scenario) for scenario in played],
+        "steps_per_second": _speeds(played),
+        "map": {**maps[0], **seconds},
     }
+    if config.kind == "errors":
+        about["chosen"] = errors.named(errors.choices(summary(rows)))
     return rows, about
+
+
+def _shards(plan: Sequence[Scenario], seed: int) -> dict[str, Shard]:
+    """Return the shards of scenarios, after a check that their engines are installed."""
+    for name in {ENGINES[engine]["engine"]["name"] for one in plan for engine in one.engines}:
+        class_of(engine_of(name), "simulator")  # reports a missing engine here, not in the workers
+    shards: dict[str, Shard] = {}
+    for scenario in plan:
+        first = seed + scenario.skipped
+        seeds = range(first, first + scenario.episodes)
+        for k in range(0, len(seeds), _CHUNK):
+            shards[f"{scenario.name}/{k:05d}"] = scenario, seeds[k : k + _CHUNK]
+    return shards
 
 
 def work(shard: Shard) -> pd.DataFrame:
@@ -161,10 +202,11 @@ def work(shard: Shard) -> pd.DataFrame:
             "engine": engine,
             "seed": seed,
             **trial(
-                {**scenario.settings, **ENGINES[engine]},
+                {**ENGINES[engine], **scenario.settings},
                 scenario.random_objects,
                 seed,
                 soft=scenario.soft,
+                same_grasp=scenario.same_grasp,
             ),
         }
         for seed in seeds
@@ -194,15 +236,19 @@ def trial(
     seed: int,
     rule: str | InitialForceRule | None = None,
     soft: bool = False,
+    same_grasp: float | None = None,
 ) -> dict[str, Any]:
     """Play one episode in a new environment (see `settings_of`) and return its columns.
 
     With `random_objects` the seed draws the object, too, and with `soft` the load on soft
-    fingertips. `rule` is the start of the optimisations; None: the environment's own.
+    fingertips. `rule` is the start of the optimisations; None: the environment's own. For
+    `same_grasp` see `Scenario`.
     """
     config = settings_of(settings)
     redrawn = 0
-    if random_objects:
+    if same_grasp is not None:
+        config, redrawn = draw_grasp(seed, config, same_grasp)
+    elif random_objects:
         item, points, redrawn = draw_object(
             seed, config, config.controller.friction_margin if soft else FRICTION_MARGIN
         )
@@ -225,9 +271,11 @@ def trial(
                         used.append(float(np.nanmax(solution.friction_used)))
     except GraspError as error:
         failure = NOT_PLACED if isinstance(error, InvalidInputError) else NO_START
-        return {**row, "held": False, "failure": failure, "detail": str(error), "status": None}
+        lost = {"held": False, "failure": failure, "no_start": True, "status": None}
+        return {**row, **lost, "detail": str(error)}
     return {
         **row,
+        "no_start": False,
         **_object(config, infos[0]),
         **episode_columns(infos),
         "friction_used": max(used, default=None),
@@ -244,11 +292,8 @@ def draw_object(
     a fixed pose, which is placed anew for every object, has no points. The points are those of a
     grasp with `friction_margin` of the friction.
     """
-    rng = np.random.default_rng([seed, 0x0B1EC7])
     kinematics = _kinematics(config.hand)
-    ranges = EnvConfig().override(randomize={**RANDOM_OBJECT, **dict(config.randomize)})
-    for redrawn in range(_REDRAWS):
-        item = with_soft_contacts(ranges.drawn(rng).object, kinematics.hand)
+    for redrawn, item in enumerate(_objects(seed, config)):
         if not kinematics.hand.placed:
             return item, np.zeros((0, 3)), 0
         try:
@@ -257,6 +302,38 @@ def draw_object(
         except GraspError:
             continue
     raise SimulationError(f"no grasp was found for any of {_REDRAWS} random objects of seed {seed}")
+
+
+def draw_grasp(seed: int, config: EnvConfig, friction_margin: float) -> tuple[EnvConfig, int]:
+    """Return settings with the random object of a seed, the hand's pose and the contact points.
+
+    Both are those of a grasp with `friction_margin` of the friction, whatever the controller, the
+    engine and the errors of `config`. A hand without a fixed pose is placed where it takes hold of
+    the object in the default engine, with the default controller. The number is that of objects
+    drawn before this one without a grasp.
+    """
+    if config.hand_description.placed:
+        item, points, redrawn = draw_object(seed, config, friction_margin)
+        return config.override(object=item, contact_points=points, randomize=()), redrawn
+    reference = EnvConfig().override(
+        **{"hand": config.hand, "controller.friction_margin": friction_margin}
+    )
+    for redrawn, item in enumerate(_objects(seed, config)):
+        with warnings.catch_warnings(), suppress(GraspError):
+            warnings.simplefilter("ignore", GraspWarning)  # as in `trial`
+            with closing(FourFingerGrasp(config=reference.override(object=item))) as env:
+                hand, points = env.scene.config.hand, env.scene.config.contact_points
+            same = {"hand": hand, "object": item, "contact_points": points, "randomize": ()}
+            return config.override(**same), redrawn
+    raise SimulationError(f"no pose was found for any of {_REDRAWS} random objects of seed {seed}")
+
+
+def _objects(seed: int, config: EnvConfig) -> Iterator[ObjectDescription]:
+    """Yield the random objects of a seed, in the ranges of `randomize`."""
+    rng = np.random.default_rng([seed, 0x0B1EC7])
+    ranges = EnvConfig().override(randomize={**RANDOM_OBJECT, **dict(config.randomize)})
+    for _ in range(_REDRAWS):
+        yield with_soft_contacts(ranges.drawn(rng).object, config.hand_description)
 
 
 def settings_of(settings: dict[str, Any]) -> EnvConfig:
@@ -342,7 +419,7 @@ def _speeds(plan: Sequence[Scenario]) -> dict[str, float]:
     for scenario in plan:
         for engine in scenario.engines:
             name = f"{scenario.keys.get('hand', 'four_finger')}, {engine}"
-            first.setdefault(name, {**scenario.settings, **ENGINES[engine]})
+            first.setdefault(name, {**ENGINES[engine], **scenario.settings})
     out: dict[str, float] = {}
     for name, settings in first.items():
         config = settings_of(settings).override(randomize=())

@@ -29,6 +29,9 @@ class Scenario:
         random_objects: True if each seed draws its object.
         soft: True if fingertips are soft, and each seed draws a load of shear and torsion, see
             `soft_tips.with_load`.
+        same_grasp: share of the friction for which each seed draws object, contact points and pose
+            of the hand, the same for every controller and engine; None: the hand is placed anew.
+        skipped: number of seeds before its first one.
     """
 
     case: str
@@ -38,6 +41,8 @@ class Scenario:
     engines: tuple[str, ...] = field(default_factory=usual_engines)
     random_objects: bool = True
     soft: bool = False
+    same_grasp: float | None = None
+    skipped: int = 0
 
     @property
     def name(self) -> str:
@@ -104,6 +109,125 @@ SOFT_HANDS: dict[str, tuple[int, dict[str, Any]]] = {
 """Hands with soft fingertips: the divisor of the number of episodes, and their own objects."""
 SOFT_MARGINS = {"soft": 0.8, "soft_pyramid": 0.5}
 """Friction margins by scenario; MuJoCo's pyramid contains what uses at most 1 / sqrt(3)."""
+RATES = {"bullet": 1000, "mujoco": 2000}
+"""Engines of the comparison under errors, and their steps per second.
+
+The torque noise lets tips overlap the object in MuJoCo by up to 1.2 mm at 1000 steps per second and
+by 0.3 mm at 2000; the limit is 0.5 mm.
+"""
+CONTROL_RATE = 1000
+
+
+@dataclass(frozen=True)
+class Error:
+    """Error of a real hand: a row of the comparison under errors.
+
+    Attributes:
+        label: its name in tables.
+        settings: settings of the environment.
+    """
+
+    label: str
+    settings: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Group:
+    """Errors for which a controller has the same settings, because it knows the friction as well.
+
+    Attributes:
+        label: its name in tables.
+        margin: share of the friction for which grasps are drawn, the same for all controllers.
+        errors: the errors by case.
+        tuned_on: the hardest of them, on which the settings are chosen.
+    """
+
+    label: str
+    margin: float
+    errors: dict[str, Error]
+    tuned_on: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Controller of the comparison under errors.
+
+    Attributes:
+        label: its name in tables.
+        settings: settings of the environment, whatever the group.
+        candidates: settings of the controller that are tried, by group, without `controller.` in
+            their names, which are columns. Of a single candidate nothing is chosen.
+    """
+
+    label: str
+    settings: dict[str, Any]
+    candidates: dict[str, tuple[dict[str, float], ...]]
+
+
+_FRICTION = {"controller.friction_error": 0.25}
+_DELAY = {"sensors.delay": 0.010, "sensors.joint_delay": 0.002}
+_NOISE = {"motors.noise": 0.05}
+_ESTIMATED = {"sensors.wrench": "estimated"}
+_FOUR = {**_FRICTION, **_DELAY, **_NOISE, "sensors.tactile_noise": 0.05}
+GROUPS: dict[str, Group] = {
+    "known_10": Group(
+        "friction known to 10 %",
+        0.75,
+        {
+            "none": Error("none", {}),
+            "estimated": Error("wrench estimated", _ESTIMATED),
+            "delay": Error("contacts and pose 10 ms late, joints 2 ms", _DELAY),
+            "noise": Error("torque noise of 5 %, drawn every 4 ms", _NOISE),
+            "drift": Error("torque drift of 5 %, within 0.3 s", {"motors.drift": 0.05}),
+            "gain": Error("motor gains off by 5 %", {"motors.gain_error": 0.05}),
+            "joint_friction": Error("joint friction of 0.01 N m", {"motors.friction": 0.01}),
+        },
+        tuned_on=("noise", "drift"),
+    ),
+    "known_25": Group(
+        "friction known to 25 %",
+        0.5,
+        {
+            "friction": Error("friction 25 % too high", _FRICTION),
+            "four": Error("friction, delay, torque noise, tactile noise of 5 %", _FOUR),
+            "five": Error("the same four, wrench estimated", {**_FOUR, **_ESTIMATED}),
+        },
+        tuned_on=("five",),
+    ),
+}
+"""Errors of a real hand. To add one, add an entry to its group."""
+_SQUEEZES = dict.fromkeys(GROUPS, tuple({"squeeze": force} for force in (10.0, 20.0, 40.0, 80.0)))
+
+
+def _margins(*pairs: tuple[float, float]) -> tuple[dict[str, float], ...]:
+    return tuple({"friction_margin": margin, "preload": preload} for margin, preload in pairs)
+
+
+ROBUST, EQUAL = "robust", "equal_squeeze"
+RIVALS: dict[str, Rival] = {
+    ROBUST: Rival(
+        "optimised, margin and preload",
+        {},
+        {
+            "known_10": _margins((0.85, 1.0), (0.75, 1.0), (0.65, 1.0), (0.75, 0.5)),
+            "known_25": _margins((0.6, 1.0), (0.5, 1.0), (0.45, 1.5), (0.4, 1.0)),
+        },
+    ),
+    EQUAL: Rival("constant squeeze, same force", {"controller.kind": "constant_squeeze"}, {}),
+    "constant_squeeze": Rival(
+        "constant squeeze", {"controller.kind": "constant_squeeze"}, _SQUEEZES
+    ),
+    "pd": Rival("PD only", {"controller.kind": "pd"}, _SQUEEZES),
+    "paper": Rival(
+        "optimised, margin 0.85",
+        {"controller.friction_margin": 0.85},
+        dict.fromkeys(GROUPS, ({},)),
+    ),
+}
+"""Controllers that are compared under errors. To add one, add an entry.
+
+`EQUAL` has no candidates: in every row its squeeze is the mean commanded normal force of `ROBUST`.
+"""
 PATH_SCALE = 0.1
 """Scale of W_ext(t) in the roll-outs of starts."""
 HOLDS_OF_STARTS: dict[str, dict[str, Any]] = {
@@ -126,10 +250,10 @@ LABELS: dict[str, str] = {
     "six_directions": "random objects, six pushes of 10 N/kg, 2 s each",
     "path_0.25": "0.1 m cuboid, W_ext(t) x 0.25",
     "path_1": "0.1 m cuboid, W_ext(t) x 1",
+    **{case: error.label for group in GROUPS.values() for case, error in group.errors.items()},
     "weak": "random objects, weak random wrench",
     "contacts": "random wrench, contacts of other kinds",
     "margin": "random wrench, friction margin 0.7",
-    "estimated": "wrench estimated",
     "squeeze": "constant squeeze",
     "pd": "PD only",
     **{

@@ -56,6 +56,7 @@ COLUMNS: dict[str, Column] = {
     "object": _key("name of the object's mesh file"),
     "engine": _key("physics engine and its settings"),
     "controller": _key("controller of the fingers"),
+    "part": _key("tuning: chooses the settings of a controller; report: with the chosen settings"),
     "environment": _key(
         "settings of the agents' environment as JSON; {} is the default cuboid under a random wrench"
     ),
@@ -65,6 +66,7 @@ COLUMNS: dict[str, Column] = {
     "rule": _key("step-size rule of the flow"),
     "form": _key("form in which the flow is computed"),
     "friction_margin": _key("friction margin of the controller, if varied", "real"),
+    "preload": _key("preload of the controller, if varied", "real", "N"),
     "squeeze": _key("normal force of a constant squeeze, if varied", "real", "N"),
     "force_weight": _key("omega of Phi, if varied", "real"),
     "barrier_weight": _key("lambda of Phi, if varied", "real", "N^2"),
@@ -175,6 +177,7 @@ COLUMNS: dict[str, Column] = {
         "sum mean rate_low rate_high",
     ),
     "failure": _text("reason why the object was not held; empty if it was held"),
+    "no_start": _flag("the hand did not take hold of the object", "sum"),
     "detail": _text("message of a hand that did not take hold, or of a solver that failed"),
     "shape": _text("shape of the object"),
     "size_x": _real("size of the object", unit="m"),
@@ -188,7 +191,7 @@ COLUMNS: dict[str, Column] = {
     "time": _real("simulated time at the end, or of a sample along a path", "min", "s"),
     "drift": _real(
         "largest distance of the object from where it was grasped, if it was held",
-        f"{_MEAN} p99",
+        f"{_MEAN} median p90 p99",
         "mm",
     ),
     "end_drift": _real("that distance at the end, held or not", unit="mm"),
@@ -199,7 +202,7 @@ COLUMNS: dict[str, Column] = {
     "slip": _real(
         "largest distance that a fingertip slid on the object, if it was held", _MEAN, "mm"
     ),
-    "end_slip": _real("the same, held or not", unit="mm"),
+    "end_slip": _real("the same, held or not", "median p90", "mm"),
     "overlap": _real("largest penetration of a fingertip into the object", "max", "mm"),
     "friction_used": _real(
         "largest share of the given friction that an optimised force uses, torsion included", "max"

@@ -19,6 +19,7 @@ OPTIONS = {
     "env --hands ...": ("hands", "objects", "engines", "episodes"),
     "transfer": ("hands", "episodes"),
     "soft": ("episodes",),
+    "errors": ("hands", "engines", "episodes", "tuning"),
 }
 """Options that apply to some comparisons only."""
 
@@ -33,7 +34,9 @@ class Evaluate:
         what: starts (compare all starts with both methods, time them, and simulate the hand: about
             a minute on two cores), env (how often controllers hold random objects; with --hands,
             how often these hands hold objects: hours), transfer (the same hands in Bullet and in
-            MuJoCo: hours) or soft (soft fingertips under shear and torsion in both: ten minutes).
+            MuJoCo: hours), soft (soft fingertips under shear and torsion in both: ten minutes) or
+            errors (controllers under errors of sensors, motors and friction, each with settings
+            that were chosen on other episodes: hours).
         out: folder of runs.
         name: name of this run; empty: <what>-<date>-<time>. The name of an interrupted run
             continues it.
@@ -48,19 +51,21 @@ class Evaluate:
         repeats: starts: number of times each of those calls is timed.
         episodes: episodes per random scenario, or per main scenario; 0: 10 for starts, 500 for env,
             100 for env --hands, 10 with --objects, 300 for transfer, 200 for each engine and margin
-            for soft.
+            for soft, 100 for errors.
+        tuning: errors: episodes on which settings are chosen, for each of them; 0: 100.
         steps: starts: steps of each roll-out, at 50 per second.
         start: starts: your own starts to compare with the others, each NAME=module:rule,
             NAME=file.py:rule or NAME=path of a saved model. A rule takes (grasp, wrench) and
             returns an (N, 3) force.
-        hands: env and transfer: names, or files (URDF, xacro, MJCF); none: the four-finger hand,
-            for transfer also allegro and leap.
+        hands: env, transfer and errors: names, or files (URDF, xacro, MJCF); none: the four-finger
+            hand, for transfer and errors also allegro and leap.
         objects: env --hands: mesh files to hold instead of the built-in objects, each FILE or
             FILE=SCALE; 150 g, friction 0.7.
-        engines: env --hands: physics engines; none: the default one.
+        engines: env --hands: physics engines; none: the default one. errors: bullet, mujoco; none:
+            both.
     """
 
-    what: tyro.conf.Positional[Literal["starts", "env", "transfer", "soft"]] = "starts"
+    what: tyro.conf.Positional[Literal["starts", "env", "transfer", "soft", "errors"]] = "starts"
     out: str = "runs"
     name: str = ""
     seed: int = 0
@@ -71,6 +76,7 @@ class Evaluate:
     timed: int = 500
     repeats: int = 7
     episodes: int = 0
+    tuning: int = 0
     steps: int = 100
     start: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     hands: tuple[str, ...] = ()
@@ -84,8 +90,9 @@ class Evaluate:
         from grasp_env.sim.engine import class_of, engine_of
         from training.evaluation.results.run import Run, default_name
 
-        for name in BOTH if self.what in ("transfer", "soft") else ():
-            class_of(engine_of(name), "simulator")  # report a missing engine before the folder
+        for name in BOTH if self.what in ("transfer", "soft", "errors") else ():
+            if name in (self.engines or BOTH):
+                class_of(engine_of(name), "simulator")  # report a missing engine before the folder
         kind = self.what
         if kind == "env" and self.hands:
             kind = "objects" if self.objects else "hands"
@@ -118,8 +125,7 @@ class Evaluate:
         from training.evaluation.compare.holds import HoldsConfig
         from training.evaluation.compare.holds import run as hold
 
-        config = HoldsConfig(
-            kind, self.hands, self.engines, self.episodes, self.seed, self.quick, self.objects
-        )
+        names = ("hands", "engines", "episodes", "seed", "quick", "objects", "tuning")
+        config = HoldsConfig(kind, **{name: getattr(self, name) for name in names})
         folder.begin(vars(config))
         return hold(config, folder, **shared)
