@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -27,6 +27,7 @@ KINDS = {
     "objects": "holds",
     "transfer": "holds",
     "soft": "holds",
+    "errors": "errors",
     "rl": "rl",
     "reproduce": "reproduce",
 }
@@ -72,13 +73,13 @@ def write(run: Run) -> tuple[Path, list[Verdict]]:
         write_summary(run.path("summary.csv"), means)
         claims = judge(claims_of(about), means)
         figures = []
-        for title, caption, draw in getattr(page_module, "FIGURES", ()):
+        for title, caption, draw in _of(means, getattr(page_module, "FIGURES", ())):
             if (figure := draw(rows, means)) is not None:
                 image = base64.b64encode(svg(figure).encode()).decode("ascii")
                 figures.append((title, caption, image, f"{title}. {caption}"))
         tables = [
             (title, note, make(rows, means))
-            for title, note, make in getattr(page_module, "TABLES", [_SUMMARY_TABLE])
+            for title, note, make in _of(means, getattr(page_module, "TABLES", [_SUMMARY_TABLE]))
         ]
         names = [*rows.columns]
         keys = [key for key in ("case", "start", "method", "hand", "controller") if key in names]
@@ -99,6 +100,11 @@ def write(run: Run) -> tuple[Path, list[Verdict]]:
             ),
         )
         return run.write_text("report.html", page), claims
+
+
+def _of(means: Rows, listed: Any) -> Iterable[Any]:
+    """Return the figures or tables of a page, which may be a function of the summary."""
+    return listed(means) if callable(listed) else listed
 
 
 def module_of(about: dict[str, Any]) -> ModuleType | None:
