@@ -26,7 +26,7 @@ from benchmarks.force.entrants import ENTRANTS
 from benchmarks.force.problems import load, names
 from benchmarks.force.report import by_contacts, by_entrant, by_track, pair_of
 from grasp_env.inputs.files import replacing
-from training.evaluation.report import holds_page, starts_page
+from training.evaluation.report import errors_page, holds_page, starts_page
 from training.evaluation.report.page import cell, claims_of
 from training.evaluation.report.reproduce_page import RULES
 from training.evaluation.report.rl_page import AGENTS, SPEEDS, place
@@ -365,6 +365,17 @@ def objects() -> str:
     return markdown("objects", pd.DataFrame(table.values()), note)
 
 
+def errors() -> str:
+    """Return the controllers under errors, a table for each hand and engine, and their settings."""
+    if not (RESULTS / "errors.csv").exists():
+        return markdown(None, pd.DataFrame({"not measured yet": ["`grasp evaluate errors`"]}))
+    means = saved("errors")[0]
+    tables = {title: make(means, means) for title, _, make in errors_page.held_tables(means)}
+    parts = [f"{title}:\n\n{markdown(None, table)}" for title, table in tables.items()]
+    settings = markdown("errors", errors_page.chosen_settings(means, means))
+    return "\n\n".join([*parts, f"Chosen settings:\n\n{settings}"])
+
+
 def overview() -> str:
     """Return the table of README.md: the main numbers with targets or comparisons."""
 
@@ -429,7 +440,8 @@ def overview() -> str:
         ],
         *(
             [f"**missed**: {name}", claim.result + unit, f"target: {claim.target}{unit}"]
-            for kind in ("starts", "layer", "env", "env_speed")
+            for kind in ("starts", "layer", "env", "errors", "env_speed")
+            if (RESULTS / f"{kind}.csv").exists()
             for claim in judged(kind)
             if claim.met is False
             for name, unit in [PLAIN.get(claim.claim.name, (claim.claim.name, ""))]
@@ -462,6 +474,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "newton_first": reported("starts", starts_page.newton_first),
     "starts_claims": targets("starts"),
     "hold": reported("env", holds_page.grid),
+    "errors": errors,
     "hands": reported("hands", holds_page.grid),
     "objects": objects,
     "transfer": reported("transfer", holds_page.grid),

@@ -169,6 +169,7 @@ def test_options_of_another_comparison_are_refused(tmp_path, capsys):
     for words, message in {
         "--hands allegro": "--hands belongs to `grasp evaluate env`, got `grasp evaluate starts`",
         "env --objects mug.stl": "--objects belongs to `grasp evaluate env --hands ...`, got `grasp evaluate env`",
+        "soft --tuning 3": "--tuning belongs to `grasp evaluate errors`, got `grasp evaluate soft`",
         "--on cloud": "on must be inline, processes, ray or ray://HOST:PORT, got 'cloud'",
     }.items():
         assert main(["evaluate", *words.split(), "--out", str(tmp_path)]) == 2

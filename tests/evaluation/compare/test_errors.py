@@ -8,6 +8,7 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
+from docs import fill
 from grasp_env.errors import UnknownNameError
 from training.evaluation.compare import holds
 from training.evaluation.compare.errors import APART, Errors, choices, equal_forces
@@ -24,7 +25,7 @@ from training.evaluation.compare.scenarios import (
 from training.evaluation.report.errors_page import settings_text
 from training.evaluation.report.page import write
 from training.evaluation.results.run import Run
-from training.evaluation.results.table import chosen, pd, summary, table
+from training.evaluation.results.table import chosen, summary, table
 
 PLAN = Errors(("four_finger", "leap"), ("bullet", "mujoco"), 2, 3)
 SMALL = HoldsConfig("errors", ("four_finger",), ("bullet", "mujoco"), episodes=3, tuning=2)
@@ -102,14 +103,16 @@ def test_all_rivals_meet_the_same_grasp(hand):
     plan = Errors((hand,), ("bullet", "mujoco"), 2, 3)
     five = [one for one in plan.tuned(table([])) if one.case == "five"]
     five += [
-        plan._scenario("report", "five", rival, (hand, engine), {})
+        plan.scenario("report", "five", rival, (hand, engine), {})
         for rival in RIVALS
         for engine in plan.engines
     ]
     assert len(five) == 2 * (3 * 4 + len(RIVALS))
     assert {one.settings["controller.friction_margin"] for one in five} >= {0.4, 0.5, 0.85}
     drawn = [
-        draw_grasp(3, settings_of({**ENGINES[one.engines[0]], **one.settings}), one.same_grasp)
+        draw_grasp(
+            3, settings_of({**ENGINES[one.engines[0]], **one.settings}), one.same_grasp or 0.0
+        )
         for one in (five if hand == "four_finger" else five[::9])
     ]
     first, redrawn = drawn[0]
@@ -213,4 +216,11 @@ def test_the_page_shows_every_error_and_rival(tmp_path, fake):
     assert "margin 0.65, preload 1 N" in text
     assert len(verdicts) > 10
     assert all(row.met is not None for row in verdicts)
-    assert isinstance(pd.read_csv(folder.path("summary.csv")), pd.DataFrame)
+    fake.setattr(fill, "RESULTS", tmp_path / "results")
+    fill.saved.cache_clear()
+    fill.save(folder.folder)
+    block = fill.errors()
+    fill.saved.cache_clear()
+    assert "Episodes held: four_finger in mujoco:\n\n| error | " in block
+    assert "| 3 of 3 at 15.4 N (44 to 100 %) |" in block
+    assert block.count("| margin 0.65, preload 1 N | 2 of 4 at 15.4 N |") == 2

@@ -212,7 +212,13 @@ def test_plans_are_sound(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "words",
-    [["env"], ["env", "--hands", "four_finger"], ["transfer", "--hands", "four_finger"], ["soft"]],
+    [
+        ["env"],
+        ["env", "--hands", "four_finger"],
+        ["transfer", "--hands", "four_finger"],
+        ["soft"],
+        ["errors"],
+    ],
 )
 def test_quick_runs_from_the_command_line(words, tmp_path, capsys):
     assert main(["evaluate", *words, "--quick", "--out", str(tmp_path), "--name", "q"]) == 0

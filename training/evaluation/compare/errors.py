@@ -55,7 +55,7 @@ class Errors:
     def tuned(self, rows: pd.DataFrame) -> list[Scenario]:
         """Plan the candidates of every rival that has several, on the hardest errors."""
         return [
-            self._scenario(TUNING, case, rival, place, candidate)
+            self.scenario(TUNING, case, rival, place, candidate)
             for place in product(self.hands, self.engines)
             for key, group in GROUPS.items()
             for rival, about in RIVALS.items()
@@ -68,7 +68,7 @@ class Errors:
         """Plan the chosen candidate of every rival, on all errors."""
         picked = choices(summary(rows))
         return [
-            self._scenario(REPORT, case, rival, (hand, engine), choice.settings)
+            self.scenario(REPORT, case, rival, (hand, engine), choice.settings)
             for hand, engine in product(self.hands, self.engines)
             for key, group in GROUPS.items()
             for rival in RIVALS
@@ -80,14 +80,14 @@ class Errors:
         """Plan the constant squeeze with the mean commanded force of `ROBUST` in the same row."""
         forces = equal_forces(summary(rows))
         return [
-            self._scenario(REPORT, case, EQUAL, (hand, engine), {"squeeze": force})
+            self.scenario(REPORT, case, EQUAL, (hand, engine), {"squeeze": force})
             for hand, engine in product(self.hands, self.engines)
             for group in GROUPS.values()
             for case in group.errors
             if (force := forces.get((short_name(hand), engine, case)))
         ]
 
-    def _scenario(
+    def scenario(
         self,
         part: str,
         case: str,

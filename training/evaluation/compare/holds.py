@@ -122,7 +122,9 @@ class HoldsConfig:
         return QUICK_EPISODES[self.kind] if self.quick else self.episodes or usual
 
     def plan(self) -> list[Scenario]:
-        """Return the scenarios of a kind with one stage."""
+        """Return the scenarios, of errors those of the tuning."""
+        if self.kind == "errors":
+            return self.stages()[0](table([]))
         episodes = self._episodes
         if self.kind == "env":
             return scenarios.controllers_plan(episodes, self.quick)

@@ -174,7 +174,7 @@ GROUPS: dict[str, Group] = {
         "friction known to 10 %",
         0.75,
         {
-            "none": Error("none", {}),
+            "none": Error("no error", {}),
             "estimated": Error("wrench estimated", _ESTIMATED),
             "delay": Error("contacts and pose 10 ms late, joints 2 ms", _DELAY),
             "noise": Error("torque noise of 5 %, drawn every 4 ms", _NOISE),

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from training.evaluation.compare.errors import REPORT, Choice, choices
 from training.evaluation.compare.scenarios import EQUAL, GROUPS, LABELS, RIVALS, ROBUST
-from training.evaluation.report import holds_page, page
+from training.evaluation.report import holds_page
 from training.evaluation.report.page import INK, LINE, axes
 from training.evaluation.results.claims import Claim
 from training.evaluation.results.table import Rows, chosen, numbers, pd
@@ -58,7 +58,7 @@ MOST_FORCE = 21.2
 CLAIMS = (
     *(
         Claim.of(
-            f"error {LABELS[case]}: share of the episodes that the optimised forces hold",
+            f"optimised forces, {LABELS[case]}: share of the episodes held",
             f"{_ROBUST} and case == '{case}'",
             f"held_mean >= {rate}",
         )
@@ -66,7 +66,7 @@ CLAIMS = (
         for case in cases
     ),
     Claim.of(
-        f"error {LABELS['five']}: median slide under the optimised forces",
+        f"optimised forces, {LABELS['five']}: median slide",
         f"{_ROBUST} and case == 'five'",
         "end_slip_median <= 1 mm",
     ),
@@ -154,12 +154,15 @@ def rates_figure(rows: Rows, means: Rows, *, hand: str, engine: str) -> Figure |
     for place in range(1, len(cases)):
         panel.axhline(place - 0.5, color=LINE, linewidth=0.6)
     panel.grid(visible=False, axis="y")
-    panel.set_yticks(
-        range(len(cases)), [textwrap.fill(LABELS[case], 26) for case in cases], fontsize=8
-    )
+    panel.set_yticks(range(len(cases)), [_wrapped(LABELS[case]) for case in cases], fontsize=8)
     panel.set(xlabel="held [%]", xlim=(0, 100), ylim=(len(cases) - 0.5, -0.5))
     figure.legend(loc="outside upper center", ncols=1, fontsize=8, frameon=False, labelcolor=INK)
     return figure
+
+
+def _wrapped(text: str) -> str:
+    """Break a label into lines, but not before a per cent sign."""
+    return textwrap.fill(text.replace(" %", "\N{NO-BREAK SPACE}%"), 27)
 
 
 def settings_text(settings: dict[str, float]) -> str:
@@ -201,16 +204,20 @@ def moved_cell(row: dict[str, Any]) -> str:
     Example:
         >>> moved = {"end_slip_median": 0.1, "end_slip_p90": 0.5, "drift_median": 0.2, "drift_p90": 0.6, "drift_max": 1.7}
         >>> moved_cell({**moved, "no_start_sum": 2.0})
-        '0.1 / 0.5; 0.2 / 0.6 / 1.7; 2'
+        '0.10 / 0.50; 0.20 / 0.60 / 1.70; 2'
     """
-    parts = (
-        ("end_slip_median", "end_slip_p90"),
-        ("drift_median", "drift_p90", "drift_max"),
-        ("no_start_sum",),
+    slide, drift = (
+        " / ".join(_millimetres(row.get(name)) for name in names)
+        for names in (
+            ("end_slip_median", "end_slip_p90"),
+            ("drift_median", "drift_p90", "drift_max"),
+        )
     )
-    return "; ".join(
-        " / ".join(page.cell(row.get(column)) for column in columns) for columns in parts
-    )
+    return f"{slide}; {drift}; {row['no_start_sum']:.0f}"
+
+
+def _millimetres(value: float | None) -> str:
+    return "–" if value is None or np.isnan(value) else f"{value:.2f}"
 
 
 def failures(rows: Rows, means: Rows) -> Rows:
@@ -226,7 +233,7 @@ def held_tables(means: Rows) -> list[tuple[str, str, Any]]:
 
 def _places(means: Rows) -> Iterator[dict[str, str]]:
     """Yield the hands and engines of a run."""
-    report = chosen(means, f"part == '{REPORT}'")
+    report: Rows = chosen(means, f"part == '{REPORT}'")
     yield from report[["hand", "engine"]].drop_duplicates().to_dict("records")
 
 

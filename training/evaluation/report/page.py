@@ -104,7 +104,8 @@ def write(run: Run) -> tuple[Path, list[Verdict]]:
 
 def _of(means: Rows, listed: Any) -> Iterable[Any]:
     """Return the figures or tables of a page, which may be a function of the summary."""
-    return listed(means) if callable(listed) else listed
+    found: Any = listed(means) if callable(listed) else listed
+    return found
 
 
 def module_of(about: dict[str, Any]) -> ModuleType | None:
