@@ -1,5 +1,6 @@
 """The controller of a hand, the control loop of the simulation, and the closing of the fingers."""
 
+from grasp_env.control.contacts import ContactEstimator, ContactEstimatorSettings
 from grasp_env.control.hand import (
     Calibration,
     HandController,
@@ -10,6 +11,8 @@ from grasp_env.control.recording import Recording, differences, replay
 
 __all__ = [
     "Calibration",
+    "ContactEstimator",
+    "ContactEstimatorSettings",
     "HandController",
     "HandControllerSettings",
     "HandState",

@@ -23,4 +23,5 @@ NB_MODULE(_core, m) {
   bind_gather(m);
   bind_hand_controller(m);
   bind_simulated_hand(m);
+  bind_contact_estimator(m);
 }

@@ -25,3 +25,4 @@ void bind_scene(nb::module_& m);
 void bind_gather(nb::module_& m);
 void bind_hand_controller(nb::module_& m);
 void bind_simulated_hand(nb::module_& m);
+void bind_contact_estimator(nb::module_& m);

@@ -10,16 +10,18 @@ from numpy.typing import ArrayLike
 
 from grasp_env import core
 from grasp_env.errors import InvalidInputError
-from grasp_env.inputs.arguments import Array, Indices, as_array, whole
+from grasp_env.inputs.arguments import Array, Indices, as_array, instance, whole
 from grasp_env.inputs.files import as_path, file_fault, replacing
 from grasp_env.sim.hand.description import HandDescription
-from grasp_env.sim.hand.frames import rotation_matrix
+from grasp_env.sim.hand.frames import quaternion_rotation, rotation_matrix
 from grasp_env.sim.hand.tree import Mimic
+from grasp_env.sim.objects.description import ObjectDescription
 
 _OTHER_STARTS = 11
 _LIMIT = 1e-6  # [rad], largest excess of an angle over a limit
 # singular values of a Jacobian up to this, relative to the largest, count as 0
 _SMALLEST_LEVER = 0.01
+_UNIT_TOLERANCE = 0.01  # that of the core for normals and quaternions
 
 
 class HandKinematics:
@@ -125,6 +127,72 @@ class HandKinematics:
         centers = np.empty((self.hand.finger_count, 3))
         self.tree.tips(self._angles(angles), centers)
         return centers
+
+    def contacts(
+        self,
+        angles: ArrayLike,
+        item: ObjectDescription | None = None,
+        pose: ArrayLike | None = None,
+        *,
+        normals: ArrayLike | None = None,
+    ) -> tuple[Array, Array, Array]:
+        """Return where the fingertips touch an object, from joint angles alone.
+
+        Give the object, or a guess of the normals. A contact is the point of the spherical tip that
+        lies farthest along its normal: the tip's centre + its radius * the normal. With an object
+        the normal is that of the surface point nearest to the tip. All arrays are in the world
+        frame, which is that of the hand's base.
+
+        Args:
+            angles: Joint angles [rad], (M,).
+            item: The object.
+            pose: Its position [m] and quaternion (x, y, z, w), (7,); None: at the origin.
+            normals: Unit normals into the object, (N, 3), to 1 %; without `item`.
+
+        Returns:
+            The contact points (N, 3) [m], the unit normals into the object (N, 3), and the gaps
+            (N,) [m] between the tips and the surface, negative if they overlap. Gaps are nan
+            without an object.
+
+        Raises:
+            InvalidInputError: Both or neither of `item` and `normals`, a pose without an object, an
+                array of a wrong shape, or a normal or a quaternion of another length than 1.
+
+        Example:
+            >>> kinematics = HandKinematics(HandDescription.allegro())
+            >>> tips = kinematics.tips(kinematics.home)
+            >>> ball = ObjectDescription("sphere", (0.06,))
+            >>> pose = [*0.5 * (tips[1] + tips[3]), 0.0, 0.0, 0.0, 1.0]
+            >>> points, normals, gaps = kinematics.contacts(kinematics.home, ball, pose)
+            >>> guessed, _, _ = kinematics.contacts(kinematics.home, normals=normals)
+            >>> bool(np.abs(guessed - points).max() < 1e-12), gaps.shape
+            (True, (4,))
+        """
+        if (item is None) == (normals is None):
+            raise InvalidInputError("give an item or normals, and not both")
+        centers = self.tips(angles)
+        if normals is not None:
+            if pose is not None:
+                raise InvalidInputError("a pose belongs to an item; normals are in the world frame")
+            inwards = _unit_rows(as_array(normals, centers.shape, "normals"), "normals")
+            gaps = np.full(len(centers), np.nan)
+        else:
+            surface = instance(item, ObjectDescription, "item").surface
+            inwards, gaps = self._nearest(surface, pose, centers)
+        return centers + self.tip_radii[:, None] * inwards, inwards, gaps
+
+    def _nearest(
+        self, surface: core.Surface, pose: ArrayLike | None, centers: Array
+    ) -> tuple[Array, Array]:
+        """Return the inward normals (N, 3) nearest to tips, and their gaps (N,) [m]."""
+        position, rotation = np.zeros(3), np.eye(3)
+        if pose is not None:
+            row = as_array(pose, (7,), "pose")
+            position = row[:3]
+            rotation = quaternion_rotation(_unit_rows(row[None, 3:], "the quaternion of a pose")[0])
+        found = [surface.nearest(center) for center in (centers - position) @ rotation]
+        inwards = np.array([normal for _, normal, _ in found]) @ rotation.T
+        return inwards, np.array([distance for _, _, distance in found]) - self.tip_radii
 
     def jacobian(self, angles: ArrayLike, finger: int, point: ArrayLike | None = None) -> Array:
         """Return the Jacobian J of a point on a finger's last link, (3, M) [m/rad], world frame.
@@ -325,6 +393,16 @@ class HandKinematics:
             f"finger {name!r} cannot reach tip={target}{together}: the nearest its tip comes is {away[finger]:.4f} m "
             f"away, at {distance:.4f} m from its first joint; move the contact or the finger's base"
         )
+
+
+def _unit_rows(rows: Array, name: str) -> Array:
+    """Return rows with length 1, or raise an error if a length is off by more than 1 %."""
+    lengths = np.linalg.norm(rows, axis=1)
+    if (np.abs(lengths - 1.0) > _UNIT_TOLERANCE).any():
+        raise InvalidInputError(
+            f"{name} must have length 1, to 1 %, got lengths {lengths.round(4).tolist()}"
+        )
+    return rows / lengths[:, None]
 
 
 def motor_force_basis(jacobian: Array) -> Array:
