@@ -1420,3 +1420,40 @@ class SimulatedHand:
     @property
     def exact(self) -> bool:
         """True if the scene is seen without delay and noise."""
+
+class ContactEstimator:
+    """Contacts from joint torques: see contact_estimator.hpp."""
+
+    def __init__(self, hand: Tree, touch: float, release: float, time_constant: float, largest_gap: float) -> None:
+        """Settings: [N], [N], [s], [m]."""
+
+    def set_surface(self, surface: Surface) -> None:
+        """
+        The contacts follow from the surface of the object and its pose in the state.
+        """
+
+    def set_normals(self, normals: object) -> None:
+        """
+        Without a surface: fingertips touch planes with these unit normals (N, 3) into the object, object frame.
+        """
+
+    def reset(self) -> None:
+        """Forget all forces. The next update takes the hand to be at rest."""
+
+    def update(self, state: HandState, torques: object, period: float) -> bool:
+        """
+        Write `touching`, `positions` and `normals` of a state. torques: (M,) [N m] that the motors delivered since the last
+        update; period: since then [s]. False, with the last estimate, for numbers that are not finite.
+        """
+
+    @property
+    def forces(self) -> Annotated[NDArray[numpy.float64], dict(order='C', writable=False)]:
+        """(N, 3) of the fingertips ON the object [N], base frame."""
+
+    @property
+    def residual(self) -> Annotated[NDArray[numpy.float64], dict(order='C', writable=False)]:
+        """(M,) torques of the contacts on the joints [N m]."""
+
+    @property
+    def gaps(self) -> Annotated[NDArray[numpy.float64], dict(order='C', writable=False)]:
+        """(N,) from tip to surface [m]; NaN: no surface is known."""

@@ -130,7 +130,7 @@ class ContactEstimator {
  private:
   static constexpr double NOT_KNOWN = std::numeric_limits<double>::quiet_NaN();
   // [m] A force with a smaller lever on all joints of its finger is hardly seen, and counts as 0.
-  static constexpr double SMALLEST_LEVER = 3e-3;
+  static constexpr double SMALLEST_LEVER = 2e-3;
 
   std::shared_ptr<const Tree> tree_;
   ContactEstimatorSettings settings_;
