@@ -404,8 +404,8 @@ def test_a_finger_lifts_and_lands(bench):
 
 
 def test_a_free_hand_does_not_touch(bench):
-    """Joints swing at up to 6 rad/s. The neglected torques are below 5 mN m, and their forces along
-    the normals below 0.1 N, the half of `touch`."""
+    """Joints swing at up to 6 rad/s, away from their ends, which also push. The neglected torques
+    are below 10 mN m, and their forces along the normals below 0.1 N, the half of `touch`."""
     bench.run(300)
     kinematics = bench.kinematics
     mass = kinematics.mass_matrix(kinematics.home)
@@ -415,13 +415,15 @@ def test_a_free_hand_does_not_touch(bench):
     data.qpos[place : place + 3] = bench.target[:3]
     guess = bench.estimator = ContactEstimator(kinematics.hand, normals=bench.inward)
     look = bench.scene.look()
-    fastest = largest = 0.0
+    fastest = largest = neglected = 0.0
     start = look.angles.copy()
+    middle = np.clip(kinematics.home, kinematics.lower + 0.4, kinematics.upper - 0.4)
+    swing = np.where(np.arange(16) % 4 == 0, 0.0, 0.2)  # [rad] not sideways, where fingers collide
     for tick in range(2500):
         rise = min(1.0, tick / 500)
         phase = 2.0 * np.pi * 4.0 * PERIOD * tick + np.arange(16)
-        goal = start + rise * (kinematics.home - start + 0.2 * np.sin(phase))
-        rate = rise * 0.2 * 2.0 * np.pi * 4.0 * np.cos(phase)
+        goal = start + rise * (middle - start + swing * np.sin(phase))
+        rate = rise * swing * 2.0 * np.pi * 4.0 * np.cos(phase)
         look = bench.scene.look()
         wanted = 900.0 * (goal - look.angles) + 60.0 * (rate - look.rates)
         bench.step_with(look.gravity_torques + mass @ wanted)
@@ -431,8 +433,9 @@ def test_a_free_hand_does_not_touch(bench):
         fastest = max(fastest, np.abs(bench.state.rates).max())
         largest = max(largest, normal.max())
         assert not bench.state.touching.any()
-        assert np.abs(guess.residual).max() < 5e-3
+        neglected = max(neglected, np.abs(guess.residual).max())
     assert fastest > 5.0
+    assert neglected < 0.01
     assert largest < 0.1
 
 

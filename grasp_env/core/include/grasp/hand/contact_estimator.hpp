@@ -6,9 +6,10 @@
 //
 //     r = K (p - p(0) - integral of (torques - g(q) + r) dt),   K = 1 / `time_constant`
 //
-// It needs no accelerations. Torques of the order of q'^2 (Coriolis) are neglected. A link of 50 g
-// and 50 mm has 1e-4 N m of them at 1 rad/s, 1 mN at the fingertip, and 25 mN at 5 rad/s. The
-// friction of the joints is not known: a friction of F N m hides F / L newtons at a lever of L m.
+// It needs no accelerations. Torques of the order of q'^2 (Coriolis) are neglected. In an Allegro
+// whose joints swing at 6 rad/s they are 8e-3 N m, or 0.03 N along the normals. They fall with the
+// square of the rates. The inertia of rotors is neglected, too. The friction of the joints is not
+// known: a friction of F N m hides F / L newtons at a lever of L m.
 //
 // `ContactEstimator` and its setters allocate and throw std::invalid_argument. `update` and `reset`
 // do neither.
