@@ -128,7 +128,9 @@ class ContactEstimator(core.ContactEstimator):
         else:
             self.set_surface(instance(item, ObjectDescription, "item").surface)
 
-    def set_normals(self, normals: ArrayLike) -> None:
+    def set_normals(  # pyright: ignore[reportIncompatibleMethodOverride]
+        self, normals: ArrayLike
+    ) -> None:
         """Guess the normals, in place of an object.
 
         A guess that is wrong by an angle moves the contact point by the angle times the radius of
@@ -146,7 +148,9 @@ class ContactEstimator(core.ContactEstimator):
         except ValueError as error:
             raise InvalidInputError(str(error)) from None
 
-    def update(self, state: core.HandState, torques: ArrayLike, period: float) -> bool:
+    def update(  # pyright: ignore[reportIncompatibleMethodOverride]
+        self, state: core.HandState, torques: ArrayLike, period: float
+    ) -> bool:
         """Write `touching`, `positions` and `normals` of a state.
 
         It reads `angles`, `rates`, `gravity` and `object` of the state. The first update, and the

@@ -3,6 +3,8 @@ engines."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from engines import needs_bullet
@@ -130,10 +132,10 @@ def test_the_residual_is_that_of_the_momentum():
     estimator = ContactEstimator(HAND, normals=INWARD, settings=AT_ONCE)
     state = at_rest()
     momenta = []
+    torques = 0.1 * rng.standard_normal(16)
     for _ in range(2):
         state.angles = HOME + 0.1 * rng.standard_normal(16)
         state.rates = rng.standard_normal(16)
-        torques = 0.1 * rng.standard_normal(16)
         estimator.update(state, torques, PERIOD)
         momenta.append(mass_matrix(KINEMATICS, state.angles) @ state.rates)
     known = torques - KINEMATICS.gravity_torques(state.angles, GRAVITY)
@@ -274,8 +276,8 @@ class Bench:
     push = 1.5  # [N] of each fingertip
 
     def __init__(self, engine: str = "mujoco") -> None:
-        ball = {"shape": "sphere", "size": (0.06,), "mass": 0.15, "friction": 0.7}
-        rates = {"engine.rate": 1000, "controller.rate": 1000, "agent.rate": 100}
+        ball: dict[str, Any] = {"shape": "sphere", "size": (0.06,), "mass": 0.15, "friction": 0.7}
+        rates: dict[str, Any] = {"engine.rate": 1000, "controller.rate": 1000, "agent.rate": 100}
         self.env = FourFingerGrasp(hand=HAND, engine=engine, **ball, **rates)
         self.env.reset(seed=0)
         self.scene: Scene = self.env.scene
