@@ -154,7 +154,8 @@ class ContactEstimator(core.ContactEstimator):
         """Write `touching`, `positions` and `normals` of a state.
 
         It reads `angles`, `rates`, `gravity` and `object` of the state. The first update, and the
-        first after `reset`, takes the hand to be at rest.
+        first after `reset`, takes the hand to be at rest. The contacts are as old as the joints: set
+        `ages` accordingly.
 
         Args:
             state: a state of this hand, which the caller fills from the sensors.

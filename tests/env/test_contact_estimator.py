@@ -12,7 +12,12 @@ from hands import gripper, mass_matrix
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
-from grasp_env.control import ContactEstimator, ContactEstimatorSettings, HandState
+from grasp_env.control import (
+    ContactEstimator,
+    ContactEstimatorSettings,
+    HandControllerSettings,
+    HandState,
+)
 from grasp_env.control.loop import critically_damped
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.errors import InvalidInputError
@@ -197,6 +202,23 @@ def test_broken_numbers_keep_the_last_estimate(name):
     state.rates[:] = 0.5
     assert estimator.update(state, torques, PERIOD)
     assert_allclose(estimator.forces, before[0], atol=1e-12)
+
+
+@pytest.mark.parametrize("settings", [None, AT_ONCE])
+def test_numbers_stay_finite(settings):
+    """Whatever the sensors say, up to the largest numbers that the core takes."""
+    rng = np.random.default_rng(2)
+    estimator = ContactEstimator(HAND, normals=INWARD, settings=settings)
+    for _ in range(300):
+        state = at_rest()
+        size = 10.0 ** rng.uniform(-12.0, 12.0)
+        state.rates = size * rng.uniform(-1.0, 1.0, 16)
+        state.angles = 10.0 ** rng.uniform(-12.0, 12.0) * rng.uniform(-1.0, 1.0, 16)
+        torques = size * rng.uniform(-1.0, 1.0, 16)
+        assert estimator.update(state, torques, 10.0 ** rng.uniform(-320.0, 12.0))
+        assert np.isfinite(estimator.forces).all()
+        assert np.isfinite(estimator.residual).all()
+        assert np.isfinite(state.positions).all()
 
 
 def test_an_update_without_time_changes_no_force():
@@ -403,6 +425,19 @@ def test_a_finger_lifts_and_lands(bench):
         truth = np.flatnonzero(np.diff(real))
         assert np.abs(truth - change).min() <= 15
     assert np.not_equal(seen, real).mean() < 0.01
+
+
+def test_a_finger_that_arrives_with_the_reach_force_is_found(bench):
+    """With the defaults of estimator and controller."""
+    bench.run(300)
+    place = bench.places[2].copy()
+    bench.places[2] = place - 0.02 * bench.inward[2]
+    bench.run(300)
+    assert not bench.state.touching[2]
+    light = bench.push - HandControllerSettings().reach_force
+    bench.places[2] = place - light / bench.stiffness * bench.inward[2]
+    bench.run(500)
+    assert bench.state.touching.all()
 
 
 def test_a_free_hand_does_not_touch(bench):

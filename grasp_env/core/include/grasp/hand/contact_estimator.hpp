@@ -174,10 +174,12 @@ class ContactEstimator {
     for (int j = 0; j < tree_->joints(); ++j) {
       if (tree_->links[j].coupled()) continue;
       const double known = torques[j] - support_[j];
+      double next = residual[j];
       if (!has_residual_)
-        residual[j] = -known;
+        next = -known;
       else if (has_momentum_ && period > 0.0)
-        residual[j] += share * ((momentum_[j] - last_momentum_[j]) / period - known - residual[j]);
+        next += share * ((momentum_[j] - last_momentum_[j]) / period - known - next);
+      if (std::isfinite(next)) residual[j] = next;
     }
     last_momentum_ = momentum_;
     has_residual_ = has_momentum_ = true;
@@ -235,6 +237,7 @@ class ContactEstimator {
     }
     if (!gram_.factor()) return;
     gram_.solve(push_.data());
+    if (!std::ranges::all_of(push_, [](double force) { return std::isfinite(force); })) return;
     for (std::size_t i = 0; i < forces.size(); ++i) forces[i] = point(&push_[3 * i]);
   }
   void find_touching() {
