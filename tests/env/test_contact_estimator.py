@@ -79,7 +79,7 @@ def test_contacts_are_those_of_the_kinematics():
     state = at_rest()
     place = np.array([0.0, 0.03, 0.01])
     turn = Rotation.from_rotvec([0.3, 0.5, -0.2])
-    state.object[:7] = *place, *turn.as_quat()
+    state.object[:7] = *place, *(1.005 * turn.as_quat())  # rounded data: taken for length 1
     assert estimator.update(state, torques_of(state, np.zeros((4, 3))), PERIOD)
     points, normals, gaps = KINEMATICS.contacts(HOME, item, state.object[:7])
     assert_allclose(place + turn.apply(state.positions), points, atol=1e-12)

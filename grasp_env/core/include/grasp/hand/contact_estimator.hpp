@@ -74,10 +74,7 @@ class ContactEstimator {
   }
 
   // The contacts follow from the surface of the object and its pose in the state.
-  void set_surface(Surface surface) {
-    surface_ = std::move(surface);
-    is_placed_ = false;
-  }
+  void set_surface(Surface surface) { surface_ = std::move(surface); }
   // Without a surface: the contacts are where fingertips touch planes with these unit normals
   // (N, 3) into the object, object frame.
   void set_normals(std::span<const double> normals) {
@@ -92,7 +89,6 @@ class ContactEstimator {
       guesses_[i] = normalised(point(&normals[3 * i]));
     surface_.reset();
     has_normals_ = true;
-    is_placed_ = false;
     std::fill(gaps.begin(), gaps.end(), NOT_KNOWN);
   }
 
@@ -157,11 +153,21 @@ class ContactEstimator {
     const auto finite = [](double number) { return std::abs(number) <= LARGEST; };
     for (HandPart part : {ANGLES, RATES, GRAVITY, OBJECT})
       if (!std::ranges::all_of(state[part], finite)) return false;
-    double square = 0.0;
-    for (double number : state.object().quaternion) square += number * number;
-    return std::abs(std::sqrt(square) - 1.0) <= UNIT_TOLERANCE &&
+    return std::abs(length_of_quaternion(state) - 1.0) <= UNIT_TOLERANCE &&
            torques.size() == residual.size() && std::ranges::all_of(torques, finite) &&
            period >= 0.0 && period <= LARGEST;
+  }
+
+  static double length_of_quaternion(const HandState& state) {
+    double square = 0.0;
+    for (double number : state.object().quaternion) square += number * number;
+    return std::sqrt(square);
+  }
+  static Rotation turn_of(const HandState& state) {
+    double unit[4];
+    for (int k = 0; k < 4; ++k)
+      unit[k] = state.object().quaternion[k] / length_of_quaternion(state);
+    return Rotation::of_quaternion(unit);
   }
 
   // The residual after a period. The observer's integral is exact for constant torques of the
@@ -203,7 +209,7 @@ class ContactEstimator {
   // The contacts, and the Jacobian of their points.
   void place(const HandState& state) {
     const BodyRow& object = state.object();
-    const Rotation turn = Rotation::of_quaternion(object.quaternion);
+    const Rotation turn = turn_of(state);
     for (int i = 0; i < tree_->fingers(); ++i) {
       const Tip& tip = tree_->tips[i];
       const Point center = posture_.tip(i);
