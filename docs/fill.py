@@ -5,7 +5,8 @@ python -m docs.fill --check        lists the blocks that differ from saved runs;
 python -m docs.fill --save RUN...  saves the summaries of runs of `grasp` or of the benchmarks
 
 docs/results/KIND.csv is the summary of a run (columns: training/evaluation/results/columns.py),
-KIND.json its settings and machine, KIND.svg its picture, if it has one. Of the force benchmark
+KIND.json its settings and machine, KIND.svg its picture, if it has one. Long runs are saved in
+parts: KIND-PART.csv. Of the force benchmark
 force.csv.xz holds all rows. This module is long because it contains one short function for each
 table, a query on these files; `TABLES` lists them by the names of the blocks.
 """
@@ -26,6 +27,7 @@ from benchmarks.force.entrants import ENTRANTS
 from benchmarks.force.problems import load, names
 from benchmarks.force.report import by_contacts, by_entrant, by_track, pair_of
 from grasp_env.inputs.files import replacing
+from training.evaluation.compare.scenarios import short_name
 from training.evaluation.report import errors_page, holds_page, starts_page
 from training.evaluation.report.page import cell, claims_of
 from training.evaluation.report.reproduce_page import RULES
@@ -84,11 +86,25 @@ def force_rows() -> tuple[Rows, dict[str, Any]]:
     return read(FORCE), json.loads((RESULTS / "force.json").read_text(encoding="utf-8"))
 
 
+def parts(kind: str) -> list[str]:
+    """Return the names of the saved runs of a kind, without suffixes."""
+    whole = [file.stem for file in RESULTS.glob(f"{kind}.json")]
+    return whole + sorted(file.stem for file in RESULTS.glob(f"{kind}-*.json"))
+
+
+def part_of(about: dict[str, Any]) -> str:
+    """Return the name under which a run is saved: its kind, or a part of it."""
+    kind, settings = about["kind"], about.get("settings", {})
+    names = [*settings["hands"], *settings["engines"]] if kind == "errors" else []
+    return "-".join([kind, *map(short_name, names)])
+
+
 @cache
 def saved(kind: str) -> tuple[Rows, dict[str, Any]]:
-    """Return the summary of a saved run, with its settings and machine."""
-    about = json.loads((RESULTS / f"{kind}.json").read_text(encoding="utf-8"))
-    return read(RESULTS / f"{kind}.csv"), about
+    """Return the summary of the saved runs of a kind, with settings and machine of the first."""
+    names = parts(kind)
+    rows = pd.concat([read(RESULTS / f"{name}.csv") for name in names], ignore_index=True)
+    return rows, json.loads((RESULTS / f"{names[0]}.json").read_text(encoding="utf-8"))
 
 
 def judged(kind: str) -> list[Verdict]:
@@ -367,13 +383,14 @@ def objects() -> str:
 
 def errors() -> str:
     """Return the controllers under errors, a table for each hand and engine, and their settings."""
-    if not (RESULTS / "errors.csv").exists():
-        return markdown(None, pd.DataFrame({"not measured yet": ["`grasp evaluate errors`"]}))
-    means = saved("errors")[0]
-    tables = {title: make(means, means) for title, _, make in errors_page.held_tables(means)}
-    parts = [f"{title}:\n\n{markdown(None, table)}" for title, table in tables.items()]
-    settings = markdown("errors", errors_page.chosen_settings(means, means))
-    return "\n\n".join([*parts, f"Chosen settings:\n\n{settings}"])
+    blocks = list[str]()
+    for part in parts("errors"):
+        means = read(RESULTS / f"{part}.csv")
+        for title, _, make in errors_page.held_tables(means):
+            blocks.append(f"{title}:\n\n{markdown(None, make(means, means))}")
+        settings = markdown(part, errors_page.chosen_settings(means, means))
+        blocks.append(f"Chosen settings:\n\n{settings}")
+    return "\n\n".join(blocks)
 
 
 def overview() -> str:
@@ -441,7 +458,6 @@ def overview() -> str:
         *(
             [f"**missed**: {name}", claim.result + unit, f"target: {claim.target}{unit}"]
             for kind in ("starts", "layer", "env", "errors", "env_speed")
-            if (RESULTS / f"{kind}.csv").exists()
             for claim in judged(kind)
             if claim.met is False
             for name, unit in [PLAIN.get(claim.claim.name, (claim.claim.name, ""))]
@@ -494,19 +510,20 @@ def save(folder: Path) -> str:
     if about.get("quick"):
         raise SystemExit(f"{folder} is a quick run, whose numbers are not quoted: run it in full")
     RESULTS.mkdir(exist_ok=True)
-    if about["kind"] == "force":
+    name = part_of(about)
+    if name == "force":
         write(FORCE, rows)
     else:
-        write_summary(RESULTS / f"{about['kind']}.csv", summary(rows))
-    with replacing(RESULTS / f"{about['kind']}.json") as target:
+        write_summary(RESULTS / f"{name}.csv", summary(rows))
+    with replacing(RESULTS / f"{name}.json") as target:
         text = json.dumps({name: about[name] for name in PROVENANCE if name in about}, indent=1)
         # a path belongs to one machine
         text = re.sub(r"(?<![\w.])/[^\s\"]*/(?=[^\s\"])", "", text)
         target.write_text(text + "\n", encoding="utf-8")
     for picture in folder.glob("*.svg"):
-        with replacing(RESULTS / f"{about['kind']}.svg") as target:
+        with replacing(RESULTS / f"{name}.svg") as target:
             target.write_bytes(picture.read_bytes())
-    return about["kind"]
+    return name
 
 
 def filled(text: str) -> tuple[str, list[str]]:

@@ -39,7 +39,7 @@ def test_saved_runs_are_full_ones_whose_columns_are_documented():
         )
         about = json.loads(file.read_text(encoding="utf-8"))
         means = read(kept)
-        assert about["kind"] == file.stem
+        assert fill.part_of(about) == file.stem
         assert "--quick" not in about["command"]
         assert len(about["commit"]) >= 7, f"{file.stem} does not say which commit was measured"
         assert all(described(means.columns).values()), described(means.columns)
@@ -72,6 +72,11 @@ def test_a_run_is_kept_as_its_summary_and_quick_ones_are_refused(tmp_path, monke
     assert read(tmp_path / "results" / "env.csv")[["n", "held_sum"]].to_numpy().tolist() == [
         [2, 1.0]
     ]
+    part = Run.create(tmp_path, "part")
+    settings = {"hands": ["my/leap.urdf"], "engines": ["mujoco"]}
+    part.save(rows, {"kind": "errors", "settings": settings})
+    assert fill.save(part.folder) == "errors-leap-mujoco"
+    assert fill.parts("errors") == ["errors-leap-mujoco"]
     quick = Run.create(tmp_path, "quick")
     quick.save(rows, {"kind": "env", "quick": True})
     with pytest.raises(SystemExit, match="quick run"):

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from engines import needs_bullet
 from hands import gripper, numbers, scene_alone
 from numpy.testing import assert_array_equal
 
@@ -216,3 +217,21 @@ def test_a_motion_that_no_pose_follows_is_told():
     cube = {"shape": "cuboid", "size": (0.05, 0.05, 0.05)}
     with pytest.warns(GraspWarning, match="follows the motion 'shake': finger .* cannot reach"):
         FourFingerGrasp(hand="leap", object=cube, task=Move("shake", size=0.06)).close()
+
+
+@needs_bullet
+@pytest.mark.parametrize(("mass", "friction"), [(0.05, 0.7), (0.08, 0.75)])
+def test_a_light_object_whose_contacts_chatter_settles(mass, friction):
+    """On the round side of a cylinder Bullet's contact forces change from step to step by a tenth of
+    so small a weight. The object stays in place, and its mean force over 50 ms is the weight."""
+    env = FourFingerGrasp(
+        shape="cylinder",
+        size=(0.0832, 0.0713),
+        mass=mass,
+        friction=friction,
+        engine={"name": "bullet", "rate": 1000},
+        controller={"rate": 1000, "friction_margin": 0.5, "preload": 1.0},
+    )
+    env.reset(seed=0)
+    assert np.abs(env.scene.look().position).max() < 1e-4
+    env.close()
