@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, suppress
 from dataclasses import asdict, dataclass
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
@@ -317,16 +317,24 @@ def draw_grasp(seed: int, config: EnvConfig, friction_margin: float) -> tuple[En
     if config.hand_description.placed:
         item, points, redrawn = draw_object(seed, config, friction_margin)
         return config.override(object=item, contact_points=points, randomize=()), redrawn
-    reference = EnvConfig().override(
-        **{"hand": config.hand, "controller.friction_margin": friction_margin}
-    )
-    for redrawn, item in enumerate(_objects(seed, config)):
+    same, redrawn = _placed(seed, config.hand, config.randomize, friction_margin)
+    return config.override(**same, randomize=()), redrawn
+
+
+@lru_cache(maxsize=512)
+def _placed(
+    seed: int, hand: str | HandDescription, randomize: tuple[tuple[str, Any], ...], margin: float
+) -> tuple[dict[str, Any], int]:
+    """Return hand, object and contact points of a hand that is placed; see `draw_grasp`."""
+    reference = EnvConfig().override(hand=hand, **{"controller.friction_margin": margin})
+    objects = _objects(seed, reference.override(randomize=dict(randomize)))
+    for redrawn, item in enumerate(objects):
         with warnings.catch_warnings(), suppress(GraspError):
             warnings.simplefilter("ignore", GraspWarning)  # as in `trial`
             with closing(FourFingerGrasp(config=reference.override(object=item))) as env:
-                hand, points = env.scene.config.hand, env.scene.config.contact_points
-            same = {"hand": hand, "object": item, "contact_points": points, "randomize": ()}
-            return config.override(**same), redrawn
+                scene = env.scene.config
+            same = {"hand": scene.hand, "object": item, "contact_points": scene.contact_points}
+            return same, redrawn
     raise SimulationError(f"no pose was found for any of {_REDRAWS} random objects of seed {seed}")
 
 
