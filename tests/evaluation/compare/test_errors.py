@@ -155,6 +155,23 @@ def test_the_candidate_that_holds_most_is_chosen_and_ties_go_to_the_smaller_forc
     assert choices(summary(table(nothing)))["leap", "bullet", "known_10", ROBUST].force is None
 
 
+@pytest.mark.parametrize(("held", "margin"), [(97, 0.85), (96, 0.75)])
+def test_a_smaller_force_is_better_than_two_episodes_of_a_hundred(held, margin):
+    """0.75 holds 99 of 100, 0.85 needs less force."""
+    keys = {"part": "tuning", "hand": "leap", "engine": "bullet", "controller": ROBUST}
+    rows = [
+        {**keys, **settings, "case": case, "seed": seed, "held": seed < most, "normal_force": force}
+        for settings, most, force in (
+            ({"friction_margin": 0.85, "preload": 1.0}, held, 10.0),
+            ({"friction_margin": 0.75, "preload": 1.0}, 99, 12.0),
+        )
+        for case in GROUPS["known_10"].tuned_on
+        for seed in range(100)
+    ]
+    picked = choices(summary(table(rows)))
+    assert picked["leap", "bullet", "known_10", ROBUST].settings["friction_margin"] == margin
+
+
 def test_a_run_chooses_then_compares_then_squeezes_as_hard(rows):
     means = summary(rows)
     report = chosen(means, "part == 'report'")

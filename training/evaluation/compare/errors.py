@@ -28,6 +28,8 @@ TUNING, REPORT = "tuning", "report"
 """Parts of a run. Their seeds differ."""
 APART = 100
 """Least number of seeds from the first one of the tuning to the first one of the report."""
+TIED = 0.02
+"""Share of the episodes by which candidates may differ and count as equal: less than chance."""
 Stage = Callable[[pd.DataFrame], list[Scenario]]
 """Function from the rows of all stages before to the scenarios of the next one."""
 
@@ -140,29 +142,29 @@ class Choice:
     episodes: int
     force: float | None
 
-    @property
-    def merit(self) -> tuple[int, float]:
-        """What is compared: more episodes held, then a smaller force."""
-        return self.held, -np.inf if self.force is None else -self.force
-
 
 def choices(means: Rows) -> dict[tuple[str, str, str, str], Choice]:
     """Choose a candidate for every hand, engine, group and rival, from the summary of a run.
 
-    That is the one that holds most in the tuning; among equal ones, the one with the smallest mean
-    force.
+    That is the one with the smallest mean force, of those that hold as many episodes of the tuning
+    as the best one, but for `TIED` of them.
     """
     tuning = chosen(means, f"part == '{TUNING}'")
     return {
-        (hand, engine, key, rival): max(
-            (_tried(rows, group, rival, settings) for settings in about.candidates[key]),
-            key=lambda choice: choice.merit,
+        (hand, engine, key, rival): _best(
+            [_tried(rows, group, rival, settings) for settings in about.candidates[key]]
         )
         for (hand, engine), rows in _places(tuning)
         for key, group in GROUPS.items()
         for rival, about in RIVALS.items()
         if key in about.candidates
     }
+
+
+def _best(tried: list[Choice]) -> Choice:
+    least = max(choice.held for choice in tried) - TIED * tried[0].episodes
+    good = [choice for choice in tried if choice.held >= least]
+    return min(good, key=lambda choice: np.inf if choice.force is None else choice.force)
 
 
 def equal_forces(means: Rows) -> dict[tuple[str, str, str], float]:

@@ -30,7 +30,7 @@ WORDS = {
     "force": "Sum of the measured normal forces, mean over the episodes that began.",
     "margin": "Share of the friction that the optimised forces may use.",
     "preload": "Normal force of each finger that does not count for friction.",
-    "chosen": "Of equally many candidates, the one that holds most episodes of the tuning; among equal ones, the one with the smallest force. The choice is made for each hand, engine and group of errors.",
+    "chosen": "Of equally many candidates, the one with the smallest force, among those that hold as many episodes of the tuning as the best one but for 2 %. The choice is made for each hand, engine and group of errors.",
     "hardest": "Settings are chosen on the errors that are expected to be the hardest of their group: "
     + "; ".join(
         f"{group.label}: {', '.join(LABELS[case] for case in group.tuned_on)}"
