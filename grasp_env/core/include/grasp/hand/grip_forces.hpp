@@ -174,10 +174,10 @@ class GripForces {
     asked_ = state_->wrench();
     weigh();
     if (has_last_) lift_landed_forces();
-    bool found = find_within_margin(step);
+    const bool found = find_within_margin(step) || give_up_raised_preloads();
     if (found && !is_overloaded())
       springs_.recover(period);
-    else if (!make_springs_give_way(found))
+    else if (!found || !make_springs_give_way())
       return find_less(found);
     bound_change();
     nearest_mask_ = 0;
@@ -232,23 +232,26 @@ class GripForces {
       keep_limits(has_last_ && near_limits_ ? last_row_ : numbers);
     return true;
   }
-  // The forces come first: less of the springs and of the preloads that carry them, from this
-  // update on. found: there are moderate forces within the margin, beyond the motors' limits; set
-  // to true if there are any on the way. Return true if they are within the limits.
-  bool make_springs_give_way(bool& found) {
-    if (!springs_.raise_preloads(mask_) && !(found && springs_.any_pulls(mask_))) return false;
+  // Preloads that carry springs stand in the way of moderate forces: take those of the margin.
+  // Return true if there are forces then.
+  bool give_up_raised_preloads() {
+    if (!springs_.raise_preloads(mask_)) return false;
+    springs_.keep_own_preloads(mask_);
+    use_preload(mask_);
+    return take(follow());
+  }
+  // The motors cannot give forces and springs, and the forces come first: from this update on, less
+  // of the springs and of the preloads that carry them. Return true if the rest is within the
+  // limits.
+  bool make_springs_give_way() {
+    if (!springs_.any_pulls(mask_)) return false;
     for (double share : {0.98, 0.9, 0.7, 0.5, 0.0}) {
       springs_.leave(mask_, share);
       use_preload(mask_);
       model_.set_bias(springs_.torques);
-      if (found)
-        keep_limits(has_last_ ? last_row_ : follow_row_);
-      else
-        found = take(follow());
-      if (found && !is_overloaded()) {
-        springs_.give_way(share);
-        return true;
-      }
+      if (!keep_limits(has_last_ ? last_row_ : follow_row_) || is_overloaded()) continue;
+      springs_.give_way(share);
+      return true;
     }
     return false;
   }

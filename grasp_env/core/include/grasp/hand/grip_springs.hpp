@@ -100,6 +100,10 @@ class GripSprings {
     });
     push(mask);
   }
+  // Let springs pull without the preloads that carry them.
+  void keep_own_preloads(std::uint64_t mask) {
+    each_finger(mask, [&](int i) { preload[i] = whole_preload_[i] = own_preload(i); });
+  }
   // From now on springs have this share of the one that they had.
   void give_way(double share) {
     constexpr double LEAST = 1e-3;
