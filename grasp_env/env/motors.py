@@ -63,9 +63,10 @@ class Motors:
 
     def _slowly(self) -> Array:
         """Return the next state (M,) of the slow process, with standard deviation 1."""
-        if self._slow is None:
-            self._slow = self._steps().copy()
-        else:
-            self._slow *= self._keep
-            self._slow += math.sqrt(1.0 - self._keep**2) * self._steps()
-        return self._slow
+        step = self._steps()
+        last = self._slow
+        now: Array = step.copy()
+        if last is not None:
+            now = self._keep * last + math.sqrt(1.0 - self._keep**2) * step
+        self._slow = now
+        return now
