@@ -89,7 +89,10 @@ def force_rows() -> tuple[Rows, dict[str, Any]]:
 def parts(kind: str) -> list[str]:
     """Return the names of the saved runs of a kind, without suffixes."""
     whole = [file.stem for file in RESULTS.glob(f"{kind}.json")]
-    return whole + sorted(file.stem for file in RESULTS.glob(f"{kind}-*.json"))
+    names = sorted(file.stem for file in RESULTS.glob(f"{kind}-*.json"))
+    if whole and names:
+        raise SystemExit(f"{kind} is saved as a whole and in parts, {', '.join(names)}: remove one")
+    return whole + names
 
 
 def part_of(about: dict[str, Any]) -> str:

@@ -184,7 +184,7 @@ class ControllerSettings(Settings):
     friction_error: float = setting(
         0.0,
         real(Range(-1.0 + 1e-9, 1e9)),
-        "Relative error of the friction that the controller assumes; 0.25: a quarter too much.",
+        "Relative error of the friction that the controller assumes in an episode; 0.25: a quarter too much.",
         random=True,
     )
     force_rate: float = setting(
@@ -219,8 +219,8 @@ class MotorSettings(Settings):
     """Motors of the hand, and errors that the controller does not know.
 
     A motor delivers `strength` * (1 + noise + drift + gain error) of the commanded torque, within
-    its limit, and its joint has Coulomb friction. Errors differ from joint to joint. They begin
-    with the episode, when the hand already holds the object. The inertia of rotors belongs to the
+    its limit, and its joint has Coulomb friction. The draws of noise, drift and gain error differ
+    from joint to joint. Errors begin with the episode, when the hand already holds the object. The inertia of rotors belongs to the
     hand: see `HandDescription.with_rotors`.
 
     Example:

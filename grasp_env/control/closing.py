@@ -20,8 +20,9 @@ _QUIET, _SETTLED = 8, 4  # control ticks in a row at rest: of the fingers, of th
 # joint speed [rad/s] and kinetic energy [J] below which the fingers are at rest
 _SLOW, _ENERGY = 0.1, 1e-5
 _WEIGHT_ERROR = 0.01
-# [s] over which contact forces are averaged: single steps of an engine chatter; the second time is
-# for light objects, whose speed chatters, too, though they stay in place
+# [s] over which contact forces are averaged: single steps of an engine chatter. In the second half
+# of the settling the longer time counts, too: the speed of light objects chatters, but not their
+# place
 _MEAN_TIME, _LONG_TIME = 4e-3, 0.05
 _NEAR, _LOST = 1e-3, 5e-3  # [m] from its place: accepted at the end of the settling; lost
 _AT_LIMIT = 1.0 - 1e-6  # share of a torque limit that counts as the limit
@@ -119,14 +120,15 @@ def take_over(scene: Scene, loop: ForceLoop) -> None:
         # fingers that cannot push in every direction leave the object slightly displaced
         steady = steady + 1 if still and away < (_PLACED if tick < latest else _NEAR) else 0
         in_place = in_place + 1 if snapshot.touching.all() and away < _PLACED else 0
-        rests = 2 * tick > ticks and in_place >= len(totals) and mean_error < _WEIGHT_ERROR
+        rests = in_place >= len(totals) and mean_error < _WEIGHT_ERROR
+        rests = rests and 2 * tick > ticks and not loop.controller.rising
         if steady == _SETTLED or rests:
             return
         if away > _LOST:
             break
     friction = (
         f"the contact forces miss the weight by {error:.1%} ({_WEIGHT_ERROR:.0%} allowed), with forces for {loop.margin.friction:.0%} of "
-        f"the friction {scene.config.object.friction:.3g}: lower friction_margin, raise barrier_weight, or make the object lighter"
+        f"the friction {loop.friction / loop.margin.friction:.3g}: lower friction_margin, raise barrier_weight, or make the object lighter"
     )
     raise SimulationError(
         f"the grasp did not settle within {SETTLING_TIME} s: {_causes(scene, weak, friction, True)}"

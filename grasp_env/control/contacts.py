@@ -67,7 +67,8 @@ class ContactEstimator(core.ContactEstimator):
 
     The observer takes every torque that the motors and the weight of the links do not explain for a
     contact of a fingertip. So it does not tell a contact from a pull at the finger or from joint
-    friction: a friction of F N m hides F / L newtons at a lever of L m. It neglects Coriolis
+    friction: a friction of F N m hides F / L newtons at a lever of L m, and the joints of a finger
+    add up. It neglects Coriolis
     torques and the inertia of rotors. A finger of two joints does not feel forces across its plane,
     and they count as zero.
 
@@ -113,7 +114,9 @@ class ContactEstimator(core.ContactEstimator):
     ) -> None:
         if (item is None) == (normals is None):
             raise InvalidInputError("give an item or normals, and not both")
-        chosen = settings or ContactEstimatorSettings()
+        chosen = ContactEstimatorSettings()
+        if settings is not None:
+            chosen = instance(settings, ContactEstimatorSettings, "settings")
         super().__init__(
             HandKinematics(instance(hand, HandDescription, "hand")).tree,
             chosen.touch,
@@ -164,12 +167,18 @@ class ContactEstimator(core.ContactEstimator):
             period: time since the last update [s].
 
         Returns:
-            False if a number is not finite or a quaternion has another length than 1. Then the
-            state gets the last estimate.
+            False if a number is not finite, a quaternion has another length than 1 or the period is
+            negative. Then the state gets the last estimate.
 
         Raises:
-            InvalidInputError: torques of another number of joints.
+            InvalidInputError: a state of another hand, torques of another number of joints.
         """
+        counts = len(state.angles), len(state.touching)
+        if counts != (self.hand.joint_count, self.hand.finger_count):
+            raise InvalidInputError(
+                f"a state of this hand has {self.hand.joint_count} joints and {self.hand.finger_count} fingertips, got {counts[0]} and "
+                f"{counts[1]}: make one with HandController.new_state"
+            )
         given: Array = as_array(
             torques, (self.hand.joint_count,), "torques", finite=False, copy=False
         )

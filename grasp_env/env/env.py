@@ -59,8 +59,8 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
 
     The forces become joint torques. A spring and damper hold each touching fingertip at its place
     on the object's target pose, see `controller.grip_stiffness`; where such a spring pulls for
-    long, the finger presses up to 1 N harder, so that the sum stays inside the cone. A finger
-    without contact reaches for its place. When a finger slips off or lands, the forces of all others restore
+    long, the preload of the finger grows to at most 1 N. A finger without contact reaches for its
+    place. When a finger slips off or lands, the forces of all others restore
     balance at the next tick. Any further change of a force component is limited to
     `controller.force_rate` [N/s], unless the torque limits require more.
 
@@ -78,7 +78,8 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     Its rigid links carry the others passively, as the physics engine determines.
 
     The grasp is simulated: the fingers close on a supported object, and the support is then
-    removed. At the start of an episode the contact forces balance the weight within 1 %. If
+    removed. At the start of an episode the contact forces balance the weight within 1 %, as a mean
+    over up to 50 ms. If
     `HandDescription.placed` is False and no `contact_points` are given, the environment first
     searches for a pose of the palm from which the hand can hold the object.
 

@@ -262,7 +262,10 @@ def test_wrong_hands_and_sizes_are_named():
     estimator = ContactEstimator(HAND, normals=INWARD)
     with pytest.raises(InvalidInputError, match=r"torques must have shape \(16,\)"):
         estimator.update(at_rest(), np.zeros(3), PERIOD)
-    assert not estimator.update(at_rest(gripper(3, 3)), np.zeros(16), PERIOD)
+    with pytest.raises(InvalidInputError, match="16 joints and 4 fingertips, got 9 and 3"):
+        estimator.update(at_rest(gripper(3, 3)), np.zeros(16), PERIOD)
+    with pytest.raises(InvalidInputError, match="settings"):
+        ContactEstimator(HAND, normals=INWARD, settings={"touch": 0.4})  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

@@ -94,6 +94,25 @@ def test_errors_begin_when_the_hand_holds_the_object():
 
 
 @needs_bullet
+def test_the_friction_of_the_episode_is_that_of_the_joints():
+    """A given one changes how the fingers move under the same push; a drawn one reaches the engine."""
+    angles = []
+    for friction in (0.0, 0.2):
+        env = FourFingerGrasp(motors={"friction": friction}, disturbance="random")
+        env.reset(seed=1)
+        for _ in range(5):
+            env.step(ZERO)
+        angles.append(env.scene.look().angles.copy())
+        env.close()
+    assert np.abs(angles[1] - angles[0]).max() > 1e-5
+    env = FourFingerGrasp(randomize={"motors.friction": (0.1, 0.3)})
+    env.reset(seed=1)
+    assert 0.1 < env.episode.motors.friction < 0.3
+    assert env.scene._joint_friction == env.episode.motors.friction
+    env.close()
+
+
+@needs_bullet
 @pytest.mark.parametrize("kind", ["optimized", "constant_squeeze", "pd"])
 @pytest.mark.parametrize("engine", ["bullet", "mujoco"])
 def test_wrong_friction_starts_with_every_controller(kind, engine):

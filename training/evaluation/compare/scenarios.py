@@ -171,7 +171,7 @@ _ESTIMATED = {"sensors.wrench": "estimated"}
 _FOUR = {**_FRICTION, **_DELAY, **_NOISE, "sensors.tactile_noise": 0.05}
 GROUPS: dict[str, Group] = {
     "known_10": Group(
-        "friction known to 10 %",
+        "friction known, margin for an error of 10 %",
         0.75,
         {
             "none": Error("no error", {}),
@@ -185,7 +185,7 @@ GROUPS: dict[str, Group] = {
         tuned_on=("noise", "drift"),
     ),
     "known_25": Group(
-        "friction known to 25 %",
+        "friction 25 % too high",
         0.5,
         {
             "friction": Error("friction 25 % too high", _FRICTION),

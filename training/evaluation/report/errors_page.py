@@ -54,7 +54,7 @@ LEAST_HELD = {
 }
 """Least share of the episodes that `ROBUST` holds, and the errors for which it is claimed."""
 MOST_FORCE = 21.2
-"""Twice the mean force [N] of the default controller without errors."""
+"""A fixed bound [N], about twice the mean force of the default controller without errors."""
 CLAIMS = (
     *(
         Claim.of(

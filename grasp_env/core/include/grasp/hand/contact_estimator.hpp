@@ -9,7 +9,8 @@
 // It needs no accelerations. Torques of the order of q'^2 (Coriolis) are neglected. In an Allegro
 // whose joints swing at 6 rad/s they are 8e-3 N m, or 0.03 N along the normals. They fall with the
 // square of the rates. The inertia of rotors is neglected, too. The friction of the joints is not
-// known: a friction of F N m hides F / L newtons at a lever of L m.
+// known: a friction of F N m hides F / L newtons at a lever of L m, and the joints of a finger add
+// up.
 //
 // `ContactEstimator` and its setters allocate and throw std::invalid_argument. `update` and `reset`
 // do neither.

@@ -65,8 +65,8 @@ class GripSprings {
     forces[i] = beyond > room ? room / beyond * kept : kept;
   }
   // Begin an update with `forces` of the fingers of a mask, less their share, and set their
-  // preloads. The preload of a finger is that of the margin, or a little more for a spring that
-  // pulls for long. It grows as fast as a force may, from zero when a finger lands. period: [s]
+  // preloads. The preload of a finger is that of the margin, or up to 1 N for a spring that pulls
+  // for long. It grows as fast as a force may, from zero when a finger lands. period: [s]
   // since the last update. first: preloads are there at once.
   void begin(std::uint64_t mask, double period, bool first) {
     const double most = force_rate_ * period;
@@ -116,7 +116,7 @@ class GripSprings {
   }
 
  private:
-  // [s] forces of springs that last longer need normal force; errors of the motors are shorter
+  // [s] a spring that pulls for longer than that gets normal force
   static constexpr double LASTING = 0.03;
   const HandModel& model_;
   const MarginCones& cones_;
