@@ -81,11 +81,9 @@ class ContactEstimator {
   void set_normals(std::span<const double> normals) {
     if (normals.size() != push_.size())
       throw std::invalid_argument("normals must be (N, 3), one for each fingertip");
-    for (std::size_t i = 0; i < guesses_.size(); ++i) {
-      const double size = length(point(&normals[3 * i]));
-      if (!(std::abs(size - 1.0) <= UNIT_TOLERANCE))
+    for (std::size_t i = 0; i < guesses_.size(); ++i)
+      if (!HandState::is_unit(normals.subspan(3 * i, 3)))
         throw std::invalid_argument("normals must be finite and of length 1, to 1 %");
-    }
     for (std::size_t i = 0; i < guesses_.size(); ++i)
       guesses_[i] = normalised(point(&normals[3 * i]));
     surface_.reset();
@@ -154,21 +152,13 @@ class ContactEstimator {
     const auto finite = [](double number) { return std::abs(number) <= LARGEST; };
     for (HandPart part : {ANGLES, RATES, GRAVITY, OBJECT})
       if (!std::ranges::all_of(state[part], finite)) return false;
-    return std::abs(length_of_quaternion(state) - 1.0) <= UNIT_TOLERANCE &&
-           torques.size() == residual.size() && std::ranges::all_of(torques, finite) &&
-           period >= 0.0 && period <= LARGEST;
+    return HandState::is_unit(state.object().quaternion) && torques.size() == residual.size() &&
+           std::ranges::all_of(torques, finite) && period >= 0.0 && period <= LARGEST;
   }
 
-  static double length_of_quaternion(const HandState& state) {
-    double square = 0.0;
-    for (double number : state.object().quaternion) square += number * number;
-    return std::sqrt(square);
-  }
-  static Rotation turn_of(const HandState& state) {
-    double unit[4];
-    for (int k = 0; k < 4; ++k)
-      unit[k] = state.object().quaternion[k] / length_of_quaternion(state);
-    return Rotation::of_quaternion(unit);
+  static Rotation turn_of(BodyRow object) {
+    HandState::make_unit(object.quaternion);
+    return Rotation::of_quaternion(object.quaternion);
   }
 
   // The residual after a period. The observer's integral is exact for constant torques of the
@@ -210,7 +200,7 @@ class ContactEstimator {
   // The contacts, and the Jacobian of their points.
   void place(const HandState& state) {
     const BodyRow& object = state.object();
-    const Rotation turn = turn_of(state);
+    const Rotation turn = turn_of(object);
     for (int i = 0; i < tree_->fingers(); ++i) {
       const Tip& tip = tree_->tips[i];
       const Point center = posture_.tip(i);

@@ -111,12 +111,7 @@ class HandState {
       }
   }
 
- private:
-  static double length_of(std::span<const double> vector) {
-    double square = 0.0;
-    for (double number : vector) square += number * number;
-    return std::sqrt(square);
-  }
+  // True for a normal or a quaternion of length 1, as far as messages are exact.
   static bool is_unit(std::span<const double> vector) {
     return std::abs(length_of(vector) - 1.0) <= UNIT_TOLERANCE;
   }
@@ -125,6 +120,13 @@ class HandState {
     const double length = length_of(vector);
     if (std::abs(length - 1.0) <= ROUNDING) return;
     for (double& number : vector) number /= length;
+  }
+
+ private:
+  static double length_of(std::span<const double> vector) {
+    double square = 0.0;
+    for (double number : vector) square += number * number;
+    return std::sqrt(square);
   }
   int first_[PARTS + 1];
   std::vector<double> numbers_;
