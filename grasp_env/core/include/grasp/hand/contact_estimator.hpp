@@ -165,7 +165,7 @@ class ContactEstimator {
   // contacts within it, so it is stable for any period.
   void observe(const HandState& state, std::span<const double> torques, double period) {
     posture_.support(point(state[GRAVITY].data()), support_.data());
-    find_momentum(state[RATES].data());
+    posture_.momentum(state[RATES].data(), momentum_.data());
     const double share =
         settings_.time_constant > 0.0 ? -std::expm1(-period / settings_.time_constant) : 1.0;
     for (int j = 0; j < tree_->joints(); ++j) {
@@ -180,21 +180,6 @@ class ContactEstimator {
     }
     last_momentum_ = momentum_;
     has_residual_ = has_momentum_ = true;
-  }
-  // The momentum of the links, (M,); a coupled joint counts for its driver.
-  void find_momentum(const double* rates) {
-    std::fill(momentum_.begin(), momentum_.end(), 0.0);
-    for (int l = 0; l < tree_->joints(); ++l) {
-      const Link& link = tree_->links[l];
-      const Rotation& frame = posture_.frames[l];
-      const Point center = posture_.at(l, link.center);
-      Point turning{0.0, 0.0, 0.0};
-      posture_.each_turning_joint(l, [&](int j, const Point& a) { turning += rates[j] * a; });
-      const auto& i = link.inertia;
-      const Sym3<double> inertia{i[0], i[1], i[2], i[3], i[4], i[5]};
-      posture_.push(l, center, link.mass * posture_.velocity(l, center, rates), momentum_.data());
-      posture_.twist(l, frame * (inertia * frame.transposed(turning)), momentum_.data());
-    }
   }
 
   // The contacts, and the Jacobian of their points.

@@ -230,17 +230,35 @@ class Posture {
       std::fill(turns.begin(), turns.end(), Point{0.0, 0.0, 0.0});
       each_moving_joint(l, at(l, link.center), [&](int j, const Point& a) { moves[j] += a; });
       each_turning_joint(l, [&](int j, const Point& a) { turns[j] += frames[l].transposed(a); });
-      const auto& i = link.inertia;
-      const Sym3<double> inertia{i[0], i[1], i[2], i[3], i[4], i[5]};
+      const Sym3<double> inertia = inertia_of(link);
       for (int j = 0; j < count; ++j)
         for (int k = 0; k < count; ++k)
           out[count * j + k] +=
               link.mass * dot(moves[j], moves[k]) + dot(turns[j], inertia * turns[k]);
     }
   }
+  // Write the momentum (M,) [N m s], the mass matrix times the rates (M,) [rad/s], without
+  // allocating. A coupled joint counts for its driver.
+  void momentum(const double* rates, double* out) const {
+    std::fill_n(out, tree_->joints(), 0.0);
+    for (int l = 0; l < tree_->joints(); ++l) {
+      const Link& link = tree_->links[l];
+      const Point center = at(l, link.center);
+      Point turning{0.0, 0.0, 0.0};
+      each_turning_joint(l, [&](int j, const Point& a) { turning += rates[j] * a; });
+      push(l, center, link.mass * velocity(l, center, rates), out);
+      twist(l, frames[l] * (inertia_of(link) * frames[l].transposed(turning)), out);
+    }
+  }
 
  private:
   std::shared_ptr<const Tree> tree_;
+
+  // About the centre of mass, in the link's frame.
+  static Sym3<double> inertia_of(const Link& link) {
+    const auto& i = link.inertia;
+    return {i[0], i[1], i[2], i[3], i[4], i[5]};
+  }
 };
 
 }  // namespace grasp
