@@ -35,6 +35,7 @@ from grasp_env.control import Calibration, HandController, HandControllerSetting
 from grasp_env.control.loop import critically_damped
 from grasp_env.control.recording import STATUSES
 from grasp_env.env.env import FourFingerGrasp
+from grasp_env.env.motors import Motors
 from grasp_env.errors import InvalidInputError, SimulationError
 from grasp_env.inputs.arguments import Array
 from grasp_env.sim import HandDescription, MujocoEngine
@@ -233,9 +234,8 @@ class SimulatedHand:
         usual = HandControllerSettings(rate=rate, friction=self.friction)
         wrong = {"friction": self.friction * (1.0 + FRICTION_ERROR), **CAREFUL}
         self.settings = usual.replaced(wrong if errors else {})
-        self._rng = np.random.default_rng(seed)
-        self._noise = np.ones(len(self.limits))
-        self._steps = 0
+        noise = {"noise": NOISE, "noise_time": NOISE_TIME} if errors else {}
+        self._motors = Motors(self.env.config.override(motors=noise), self.limits, seed)
         late = [round(delay * rate) * errors for delay in (JOINT_DELAY, DELAY)]
         self._joints, self._rest = (deque[HandState](maxlen=1 + ticks) for ticks in late)
         links = scene.kinematics.tip_links
@@ -256,13 +256,7 @@ class SimulatedHand:
 
     def step(self, commands: Array) -> None:
         """Simulate a period with commands in device units."""
-        torques = commands / UNITS * self.limits
-        if self.errors:
-            if self._steps % round(NOISE_TIME * self.rate) == 0:
-                self._noise = 1.0 + NOISE * self._rng.standard_normal(len(torques))
-            torques = np.clip(torques * self._noise, -self.limits, self.limits)
-        self._steps += 1
-        self.scene.advance(torques.tolist(), None)
+        self.scene.advance(self._motors((commands / UNITS * self.limits).tolist()), None)
 
     def state(self, cut: int = -1) -> HandState:
         """Return a message in the frame of the base.
