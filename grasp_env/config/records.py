@@ -220,8 +220,8 @@ class MotorSettings(Settings):
 
     A motor delivers `strength` * (1 + noise + drift + gain error) of the commanded torque, within
     its limit, and its joint has Coulomb friction. The draws of noise, drift and gain error differ
-    from joint to joint. Errors begin with the episode, when the hand already holds the object. The inertia of rotors belongs to the
-    hand: see `HandDescription.with_rotors`.
+    from joint to joint. Errors begin with the episode, when the hand already holds the object. The
+    inertia of rotors belongs to the hand: see `HandDescription.with_rotors`.
 
     Example:
         >>> MotorSettings(noise=0.05, friction=0.01).noise_time

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Collection
 
 import numpy as np
 
@@ -98,6 +99,12 @@ def take_over(scene: Scene, loop: ForceLoop) -> None:
     in_place = 0  # ticks in a row
     latest = ticks - 2 * _SETTLED
     weak = set[int]()
+
+    def imbalance(forces: Collection[Array]) -> float:
+        """Return what the mean of sums of contact forces misses of the weight, as a share of it."""
+        missing = float(np.linalg.norm(np.mean([*forces], axis=0) + weight))
+        return missing / (scale or max(float(np.abs(scene.look().forces).sum()), 1e-9))
+
     for tick in range(ticks):
         loop.begin_step()
         torques = loop.tick(np.zeros(6), scene.gravity, target, due=tick % every == 0)
@@ -105,11 +112,7 @@ def take_over(scene: Scene, loop: ForceLoop) -> None:
         scene.advance(torques, None)
         snapshot = scene.look()
         totals.append(snapshot.rotation @ snapshot.forces.sum(axis=0))
-        least = scale or max(float(np.abs(snapshot.forces).sum()), 1e-9)
-        error, mean_error = (
-            float(np.linalg.norm(np.mean([*totals][-count:], axis=0) + weight)) / least
-            for count in (few, len(totals))
-        )
+        error = imbalance([*totals][-few:])
         still = (
             np.abs(snapshot.linear).max() < _STILL
             and snapshot.touching.all()
@@ -120,9 +123,10 @@ def take_over(scene: Scene, loop: ForceLoop) -> None:
         # fingers that cannot push in every direction leave the object slightly displaced
         steady = steady + 1 if still and away < (_PLACED if tick < latest else _NEAR) else 0
         in_place = in_place + 1 if snapshot.touching.all() and away < _PLACED else 0
-        rests = in_place >= len(totals) and mean_error < _WEIGHT_ERROR
-        rests = rests and 2 * tick > ticks and not loop.controller.rising
-        if steady == _SETTLED or rests:
+        if steady == _SETTLED:
+            return
+        late = 2 * tick > ticks and in_place >= len(totals) and not loop.controller.rising
+        if late and imbalance(totals) < _WEIGHT_ERROR:
             return
         if away > _LOST:
             break
