@@ -81,6 +81,14 @@ def test_errors_have_exit_codes_suggestions_and_json(words, tmp_path, monkeypatc
     assert (out == "") == (code in (2, 3))  # a solve that did not converge is shown
 
 
+def test_a_right_word_that_the_help_mentions_is_not_called_misspelt(capsys):
+    """The help speaks of `errors`, and the message begins with "Error"."""
+    code, _, err = run("evaluate errors --episodes 0.5", capsys)
+    assert code == 2
+    assert "Error parsing --episodes" in err
+    assert "did you mean" not in err
+
+
 def test_faults_and_interrupts_have_their_own_codes(monkeypatch, capsys):
     for code, error, message in (
         (1, ZeroDivisionError("by 0"), "Traceback"),

@@ -85,7 +85,8 @@ class UsageError(InvalidInputError):
         text = " ".join(Text.from_ansi(page).plain.translate(_FRAME).split())
         super().__init__(text)
         names = {name.strip("'(),.") for name in text.split()}  # the given and the allowed ones
-        misspelt = [word for word in words if word in names and not word.startswith("-")]
+        # a wrong name stands in quotes; other words of the command may occur in the help
+        misspelt = [word for word in words if f"'{word}'" in text and not word.startswith("-")]
         questions = [alike(word, names - {word}) for word in misspelt]
         self.page = page + "".join(f"grasp:{question}\n" for question in questions if question)
 
