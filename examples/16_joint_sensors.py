@@ -34,7 +34,7 @@ scene.set_joint_friction(JOINT_FRICTION)
 pulls = scene.simulator.data.xfrc_applied
 bodies = [scene.simulator.model.body(f"link{link}").id for link in scene.kinematics.tip_links]
 
-# all that the hand is told: the centre of the ball when the fingers close
+# all that the hand knows of the ball: its centre when the fingers close
 truth = scene.look()
 center = truth.position.copy()
 inward = center - truth.tips

@@ -1,4 +1,4 @@
-"""Where fingertips touch, from joint angles: `HandKinematics.contacts`."""
+"""`HandKinematics.contacts`: the contact points of the fingertips, from joint angles."""
 
 from __future__ import annotations
 
