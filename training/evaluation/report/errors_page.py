@@ -58,7 +58,7 @@ MOST_FORCE = 21.2
 CLAIMS = (
     *(
         Claim.of(
-            f"optimised forces, {LABELS[case]}: share of the episodes held",
+            f"optimised forces, {LABELS[case]}: share of the episodes held, least of all hands and engines",
             f"{_ROBUST} and case == '{case}'",
             f"held_mean >= {rate}",
         )
