@@ -26,7 +26,7 @@ from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 
-from grasp_env.errors import InvalidInputError, UnknownSettingError, shown
+from grasp_env.errors import GraspError, InvalidInputError, UnknownSettingError, shown
 from grasp_env.inputs import ranges
 from grasp_env.inputs.arguments import AllFaults, as_array, as_number, choice, whole
 from grasp_env.inputs.ranges import Range
@@ -207,6 +207,10 @@ def record(kind: type[Settings]) -> Kind:
             )
         return value
 
+            meant = [
+                item for item in described(kind) if isinstance(value, str) and _takes(item, value)
+            ]
+            hint = f"; did you mean {{{meant[0][0]!r}: {value!r}}}?" if meant else ""
     def write(value: Any, name: str) -> Any:
         return _written_record(value, name, kind)
 
@@ -299,6 +303,16 @@ def _checked(about: About, value: Any, name: str) -> Any:
     if value is None and about.none:
         return None
     return about.kind.take(value, placed(name) + (about.unit and f" [{about.unit}]"))
+
+def _takes(item: tuple[str, type[Settings], About], value: Any) -> bool:
+    """True if a setting accepts a value."""
+    path, _, about = item
+    try:
+        about.kind.take(value, path)
+    except GraspError:
+        return False
+    return True
+
 
 
 def _range_text(within: Range) -> str:

@@ -62,6 +62,13 @@ KEYWORDS = {
     "observation": "agent.observation",
 }
 """The plain keywords of `gym.make`, and the setting that each one sets."""
+MEANT = {
+    "wrench": ("disturbance", "sensors.wrench"),
+    "render_size": ("pictures.size",),
+    "render_force": ("pictures.force",),
+    "render_moment": ("pictures.moment",),
+}
+"""Keywords that users try, and the settings that they mean."""
 _MAX_TICKS = 1_000_000
 """Largest number of control ticks of an episode; its plan takes 0.7 kB per tick."""
 
@@ -402,4 +409,6 @@ def _similar(name: str) -> list[str]:
     """Return settings with the same last part as an unknown name, or else with a similar path."""
     words = {path.replace(".", "_"): path for path in (*all_settings(), *KEYWORDS)}
     same = [path for path in all_settings() if path.rpartition(".")[2] == name]
+    if name in MEANT:
+        return list(MEANT[name])
     return same or [words[match] for match in get_close_matches(name, words, 3, 0.6)]

@@ -528,7 +528,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         numbers = values.tolist() if values.shape == self._action_shape else ()
         if not numbers or not all(map(math.isfinite, numbers)):
             raise InvalidInputError(
-                f"action must be {self._action_shape[0]} finite numbers in [-1, 1], got {shown(action)}{fault}"
+                f"action must be of shape {self._action_shape}, finite numbers in [-1, 1], got {shown(action)}{fault}"
             )
         if min(numbers) >= -1.0 and max(numbers) <= 1.0:
             return numbers

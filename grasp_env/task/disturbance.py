@@ -257,7 +257,7 @@ DISTURBANCES: dict[str, type[DisturbanceSettings]] = {
 DISTURBANCE = any_of(
     DISTURBANCES,
     DisturbanceSettings,
-    ", or give a function f(times, rng, settings) -> (T, 6) wrenches [N, N m]",
+    ", or give {'name': 'constant', 'value': (fx, fy, fz, mx, my, mz)} or a function f(times, rng, settings) -> (T, 6) wrenches [N, N m]",
     calls=True,
 )
 """Kind of a setting that holds a disturbance."""

@@ -35,7 +35,7 @@ CALLS: dict[str, Callable[..., Any]] = {
     "reward": RewardSettings,
 }
 OVERRIDE: list[tuple[dict[str, Any], str]] = [
-    ({"disturbance": "wind"}, r"unknown disturbance 'wind'.*'none'.*or give a function"),
+    ({"disturbance": "wind"}, r"unknown disturbance 'wind'.*'none'.*or a function"),
     ({"disturbance": {"force": 1.0}}, "disturbance needs a name"),
     (
         {"disturbance": {"name": "random", "speed": 1.0}},
@@ -123,6 +123,8 @@ def test_wrong_input_is_named(call, given, message):
         ("mas", "got an unexpected keyword argument 'mas': did you mean 'mass'"),
     ],
 )
+        ("wrench", "did you mean 'disturbance' or 'sensors.wrench'"),
+        ("render_size", "did you mean 'pictures.size'"),
 def test_unknown_keywords_name_the_likely_one(name, meant):
     for call in (
         EnvConfig().override,
@@ -193,7 +195,9 @@ def test_wrong_calls_change_nothing():
             for action in (
                 ([0, 0, np.nan, 0, 0, 0], np.zeros(5), np.zeros((1, 6)), "x", None) if wrong else ()
             ):
-                with pytest.raises(InvalidInputError, match="action must be 6 finite numbers"):
+                with pytest.raises(
+                    InvalidInputError, match=r"action must be of shape \(6,\), finite"
+                ):
                     env.step(action)
             observed, _, _, truncated, _ = env.step(ZERO)
             assert truncated == (k == 4)
@@ -236,7 +240,7 @@ def test_a_lost_object_ends_the_episode(limits, wrench, failures):
             for value in [*observed, reward, *info.values()]
         )
     assert info["failure"] in failures
-    assert (reward, info["is_success"]) == (0.0, False)
+    assert (reward, info["is_success"]) == (-env.config.reward.fault_cost, False)
     with pytest.raises(SimulationError, match=info["failure"]):
         env.step(ZERO)
     np.testing.assert_array_equal(env.reset(seed=0)[0], calm)  # intact again, to the last bit
