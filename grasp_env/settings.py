@@ -28,7 +28,7 @@ import numpy as np
 
 from grasp_env.errors import GraspError, InvalidInputError, UnknownSettingError, shown
 from grasp_env.inputs import ranges
-from grasp_env.inputs.arguments import AllFaults, as_array, as_number, choice, whole
+from grasp_env.inputs.arguments import AllFaults, as_array, as_number, choice, instance, whole
 from grasp_env.inputs.ranges import Range
 
 ANY, POSITIVE, NOT_NEGATIVE = Range(-1e9, 1e9), Range(1e-9, 1e9), Range(0.0, 1e9)
@@ -173,6 +173,11 @@ def integer(low: int, high: int = ranges.ITERATIONS) -> Kind:
     return Kind(lambda value, name: whole(value, name, low, high), f"integer >= {low}")
 
 
+def truth() -> Kind:
+    """True or False."""
+    return Kind(lambda value, name: instance(value, bool, name), "True or False")
+
+
 def one_of(
     names: Iterable[str], instead: str = "", fits: Callable[[Any], bool] = lambda _: False
 ) -> Kind:
@@ -202,15 +207,15 @@ def record(kind: type[Settings]) -> Kind:
         if isinstance(value, dict):
             return kind().replaced(value, name)
         if not isinstance(value, kind):
-            raise InvalidInputError(
-                f"{name} must be of class {kind.__name__}, or a dict of its settings, got {shown(value)}"
-            )
-        return value
-
             meant = [
                 item for item in described(kind) if isinstance(value, str) and _takes(item, value)
             ]
             hint = f"; did you mean {{{meant[0][0]!r}: {value!r}}}?" if meant else ""
+            raise InvalidInputError(
+                f"{name} must be of class {kind.__name__}, or a dict of its settings, got {shown(value)}{hint}"
+            )
+        return value
+
     def write(value: Any, name: str) -> Any:
         return _written_record(value, name, kind)
 
@@ -299,11 +304,6 @@ def without_json(value: Any, path: str) -> InvalidInputError:
     )
 
 
-def _checked(about: About, value: Any, name: str) -> Any:
-    if value is None and about.none:
-        return None
-    return about.kind.take(value, placed(name) + (about.unit and f" [{about.unit}]"))
-
 def _takes(item: tuple[str, type[Settings], About], value: Any) -> bool:
     """True if a setting accepts a value."""
     path, _, about = item
@@ -313,6 +313,11 @@ def _takes(item: tuple[str, type[Settings], About], value: Any) -> bool:
         return False
     return True
 
+
+def _checked(about: About, value: Any, name: str) -> Any:
+    if value is None and about.none:
+        return None
+    return about.kind.take(value, placed(name) + (about.unit and f" [{about.unit}]"))
 
 
 def _range_text(within: Range) -> str:

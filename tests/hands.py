@@ -50,8 +50,9 @@ def scene_alone(
     item: ObjectDescription | None = None, fingers: int = 4
 ) -> tuple[core.Scene, Snapshot]:
     """Return a scene of the core without a simulator, and views of its state to write into."""
+    held = item or ObjectDescription()
     made = core.Scene.make(
-        kinematics_alone(fingers).tree, (item or ObjectDescription()).surface, (0.0, -9.81, 0.0)
+        kinematics_alone(fingers).tree, held.surface, (0.0, -9.81, 0.0), held.mass
     )
     views = Snapshot(**made.arrays())
     views.rotation[:] = np.eye(3)
@@ -83,7 +84,12 @@ def hand_alone(
     motors = core.Calibration.newton_metres(tree)
     controller.configure(tree, made, motors, [0.0] * 3 * fingers, optimizer.core)
     hand = core.SimulatedHand.make(
-        scene, controller, optimizer.core, body or core.Body(), sensors or core.SensorSettings()
+        scene,
+        controller,
+        optimizer.core,
+        1.0,
+        body or core.Body(),
+        sensors or core.SensorSettings(),
     )
     return hand, controller
 

@@ -279,6 +279,8 @@ class EnvConfig(Settings):
             for name in ("duration", "max_drift", "max_tilt")
             if getattr(limits, name) is None
         }
+        if limits.end_at_fault is None:
+            defaults["end_at_fault"] = self.agent.action_mode == "contact_force"
         item = with_soft_contacts(self.object, self.hand_description)
         if item is not self.object:
             warn(
@@ -407,8 +409,8 @@ def all_settings() -> dict[str, About]:
 
 def _similar(name: str) -> list[str]:
     """Return settings with the same last part as an unknown name, or else with a similar path."""
-    words = {path.replace(".", "_"): path for path in (*all_settings(), *KEYWORDS)}
-    same = [path for path in all_settings() if path.rpartition(".")[2] == name]
     if name in MEANT:
         return list(MEANT[name])
+    words = {path.replace(".", "_"): path for path in (*all_settings(), *KEYWORDS)}
+    same = [path for path in all_settings() if path.rpartition(".")[2] == name]
     return same or [words[match] for match in get_close_matches(name, words, 3, 0.6)]

@@ -23,6 +23,7 @@ from grasp_env.settings import (
     one_of,
     real,
     setting,
+    truth,
 )
 
 CONTROLLERS = ("optimized", "constant_squeeze", "pd")
@@ -293,7 +294,7 @@ class AgentSettings(Settings):
 class RewardSettings(Settings):
     """Reward of a step: `held` * (1 - c), with c the weighted sum of the costs, each from 0 to 1.
 
-    The weights add up to at most `MAX_COST`, so holding on pays more than letting go for every
+    A step without the object held pays nothing. The weights add up to at most `MAX_COST`, so holding on pays more than letting go for every
     object, hand, method and discount.
 
     Example:
@@ -329,8 +330,10 @@ class RewardSettings(Settings):
     iteration_scale: float = setting(
         200.0, real(POSITIVE), "Iterations that cost the whole weight; more cost the same."
     )
-    failure_cost: float = setting(
-        0.0, real(NOT_NEGATIVE), "Cost of the step in which the object is lost."
+    fault_cost: float = setting(
+        10.0,
+        real(NOT_NEGATIVE),
+        "Cost of the step of the first fault that lasts, such as the loss of the object.",
     )
 
     def agree(self) -> None:
@@ -344,14 +347,20 @@ class RewardSettings(Settings):
                 "holding the object always pays: lower one of them"
             )
 
-    def terms(self, held: bool, iterations: float, costs: Sequence[float]) -> dict[str, float]:
-        """Return the terms that add up to the reward of a step with the object `held` or lost.
+    def terms(
+        self, held: bool, iterations: float, costs: Sequence[float], breaks: bool = False
+    ) -> dict[str, float]:
+        """Return the terms that add up to the reward of a step.
 
-        `costs` are those of `COSTS` other than the method's `iterations`, 0 to 1.
+        Args:
+            held: the object is held.
+            iterations: of the method.
+            costs: those of `COSTS` other than `iterations`, 0 to 1.
+            breaks: the first fault that lasts has occurred.
         """
         used = min(1.0, iterations / self.iteration_scale)
         shares = (used, *costs) if held else (0.0,) * len(COSTS)
-        paid = self.held if held else 0.0 - self.failure_cost
+        paid = self.held if held else 0.0 - self.fault_cost * breaks
         charged = {
             f"reward/{name}": 0.0 - self.held * getattr(self, name) * share
             for name, share in zip(COSTS, shares, strict=True)
@@ -361,9 +370,10 @@ class RewardSettings(Settings):
 
 @dataclass(frozen=True)
 class EpisodeLimits(Settings):
-    """Limits that end an episode.
+    """Limits that end an episode, and those that decide whether the object is held.
 
-    The last three only decide on success: an episode that exceeds one of them goes on.
+    The faults `max_slide`, `max_overlap`, `max_stray` and `max_force` last for the episode. The
+    object may get back within `max_imbalance` and `max_speed`.
 
     Example:
         >>> EpisodeLimits(duration=1.0).max_contact_gap
@@ -402,6 +412,30 @@ class EpisodeLimits(Settings):
         "Largest force on the object by parts other than fingertips, as a share of the load: external force and weight, at least the weight.",
     )
 
+    max_force: float | None = setting(
+        None,
+        real(POSITIVE),
+        "Largest force of a fingertip on the object, which breaks beyond it.",
+        unit="N",
+        none="no limit",
+    )
+    max_imbalance: float = setting(
+        0.5,
+        real(NOT_NEGATIVE),
+        "Largest share of the load that the measured contact forces may leave unbalanced, as a mean over an agent's step.",
+    )
+    max_speed: float = setting(
+        0.2,
+        real(NOT_NEGATIVE),
+        "Largest speed of the object against its target motion, at the contacts.",
+        unit="m/s",
+    )
+    end_at_fault: bool | None = setting(
+        None,
+        truth(),
+        "End the episode at the first fault that lasts.",
+        none="True if an agent sets the contact forces",
+    )
 
 @dataclass(frozen=True)
 class PictureSettings(Settings):

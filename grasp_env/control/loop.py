@@ -135,6 +135,7 @@ class ForceLoop:
         soft = {"contact_model": "soft", "torsional_friction": self._torsional_friction}
         return Grasp.from_contacts(points, normals, self._friction, **soft)
 
+            hand.tip_friction / assumed,
     def reset(self, rng: np.random.Generator | None = None) -> None:
         """Forget the episode; `rng` draws one seed for the noise (None: keep the current noise)."""
         self.scene.look()

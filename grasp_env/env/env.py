@@ -39,7 +39,7 @@ from grasp_env.sim.picture.painter import Painter
 from grasp_env.task.disturbance import name_of
 
 NO_COSTS = (0.0, 0.0, 0.0)
-"""Costs of force, torque and change of force at reset and after a failure."""
+"""Costs of force, torque and change of force at reset and after a fault."""
 
 
 class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
@@ -126,23 +126,27 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     `observation="dict"` gives a `Dict` of the same numbers by their keys.
 
     ## Reward
-    `reward.held` * (1 - c) while the object is not lost. c is the sum of four costs, each from 0 to
-    1 and times its weight in `RewardSettings`:
+    `reward.held` * (1 - c) in a step after which the object is held, that is if
+    `info["is_success"]`; otherwise 0. c is the sum of four costs, each from 0 to 1 and times its
+    weight in `RewardSettings`:
 
     - `iterations`: min(1, iterations of the method / `iteration_scale`); 1 if the contacts cannot
       balance the wrench.
     - `force`: 1 - s_min / s, where s is the sum of the commanded normal forces and s_min the
-      smallest sum that balances the wrench; 1 if no forces balance it.
+      smallest sum that balances the wrench with all of the true friction; 1 if no forces balance
+      it.
     - `torque`: the largest |torque| / limit of a joint in the step.
     - `force_change`: sum |f - f0| / sum (|f| + |f0|) over the components of the commanded forces f
       after and f0 before the step.
 
-    The weights add up to at most 0.9, so every such step pays more than 0. The step that loses the
-    object pays -`failure_cost`, by default 0. The terms `info["reward/held"]`,
+    The weights add up to at most 0.9, so every such step pays more than 0. The step of the first
+    fault that lasts pays -`fault_cost`, by default -10. The terms `info["reward/held"]`,
     `info["reward/iterations"]`, ... add up to the reward.
 
     ## Episode end
-    An episode is terminated when the object is lost. `info["failure"]` is the reason:
+    An episode is terminated when the object is lost, or at the first fault that lasts if
+    `limits.end_at_fault`, which is the default of the action mode "contact_force".
+    `info["failure"]` is the reason, such a fault or:
 
     - "dropped": it is beyond `limits.max_drift` or `limits.max_tilt` from its target pose.
     - "closure_lost": no forces balanced the wrench for longer than `limits.max_contact_gap`.
@@ -152,10 +156,14 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     An episode is truncated after `limits.duration`, by default that of the task (hold 2 s, move and
     payload 4 s, six_directions 12 s).
 
-    `is_success` is stricter than "not lost": the task's own limits, `limits.max_slide`,
-    `limits.max_overlap` and `limits.max_stray` must be met since reset. `info["fault"]` is the
-    first reason why the object does not count as held, "" if it does: the `failure`, "drifted"
-    (beyond the task's own limits), "slid", "overlap" or "stray_force".
+    `is_success` means that the object is held. `info["fault"]` is the first reason why it is not,
+    "" if it is: the `failure`, or
+
+    - faults that last for the rest of the episode: "slid" (`limits.max_slide`), "overlap"
+      (`limits.max_overlap`), "stray_force" (`limits.max_stray`), "crushed" (`limits.max_force`);
+    - faults that may pass: "drifted" (beyond the task's own limits), "not_carried" (in this step
+      the fingertips left more than `limits.max_imbalance` of the load unbalanced, or fewer than two
+      pushed), "moving" (`limits.max_speed`).
 
     ## Info
     Every reset and step returns the same keys:
@@ -191,6 +199,9 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     | `redrawn` | | 1 | number of random objects rejected at this reset because the hand could not hold them |
     | `failure`, `fault`, `is_success` | | str, str, bool | see "Episode end" |
     | `reward/held`, ... | | 1 | terms of the reward |
+    | `peak_force` | | N | largest force of a fingertip on the object since reset |
+    | `imbalance` | | 1 | force that the fingertips lacked to move the object as desired, a mean over the step, as a fraction of the load |
+    | `speed` | | m/s | bound on the speed of the contacts against the desired motion |
 
     `agent={"info": "numbers"}` leaves the strings out and makes arrays of all numbers, as torchrl
     needs.
@@ -271,7 +282,8 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         self._window: Painter | None = None
         self._started = self._ended = self._warned = False
         self._spec: EnvSpec | None = None
-        self._failure = ""
+        self._failure = self._fault = ""
+        self._broken = False
 
     def __repr__(self) -> str:
         return f"FourFingerGrasp({self.config.task.name}, {name_of(self.config.disturbance)}, {self._loop!r})"
@@ -281,6 +293,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     ) -> tuple[Any, dict[str, Any]]:
         """Return to the settled grasp, with a new disturbance and new randomised settings.
 
+        self._max_force = math.inf if limits.max_force is None else limits.max_force
         Args:
             seed: seed of everything that is drawn; None: the generator continues.
             options: None, or {"wrench": (6,)}; see the class.
@@ -348,6 +361,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         if not self._started:
             raise SimulationError("step before reset: call reset() first")
         if self._ended:
+        self._find_fault()
             raise SimulationError(
                 f"the episode ended ({self._failure or 'time is up'}): call reset()"
             )
@@ -361,9 +375,11 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         except GraspError:
             self._failure = "force_optimisation"
         loop = self._loop
-        held = not self._failure
+        held = not self._fault
         iterations = loop.effort.iterations if loop.closure else math.inf
-        terms = self.config.reward.terms(held, iterations, loop.costs() if held else NO_COSTS)
+        costs = loop.costs() if held else NO_COSTS
+        breaks = self._broken and not was_broken
+        terms = self.config.reward.terms(held, iterations, costs, breaks)
         truncated = not self._failure and self._tick >= self._step_limit * self._ticks_per_step
         self._ended = bool(self._failure) or truncated
         info = self._info(scene, terms)
@@ -375,6 +391,10 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         """Return an (H, W, 3) picture in "rgb_array" mode; update the window in "human" mode.
 
         Without a `render_mode` it returns None with Gymnasium's warning.
+        was_broken = self._broken
+        self._find_fault()
+        if self._broken and self.config.limits.end_at_fault:
+            self._failure = self._fault
 
         Raises:
             SimulationError: the environment is closed.
@@ -447,7 +467,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
             self._stage = self._camera = self._window = None
 
     def _simulate(self, scene: Scene, numbers: list[float]) -> None:
-        agent, loop = self.config.agent, self._loop
+        loop = self._loop
         loop.begin_step()
         adjustment = forces = None
         if agent.action_mode == "contact_force":
@@ -498,16 +518,32 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         gap = self.config.limits.max_contact_gap
         return "closure_lost" if self._time_without_closure > gap else ""
 
-    def _fault(self) -> str:
-        """Return why an object that was not lost does not count as held; "" if it does."""
+    def _find_fault(self) -> None:
+        """Set why the object does not count as held, "" if it does, and whether this lasts."""
+        self._fault = self._failure or self._lasting_fault()
+        self._broken = bool(self._fault)
+        if not self._broken:
+            self._fault = self._passing_fault()
+
+    def _lasting_fault(self) -> str:
+        """Return the first of the faults that no later step undoes."""
         outcome, limits = self._outcome, self.config.limits
-        if not self.config.task.in_place(outcome.drift, outcome.tilt):
-            return "drifted"
         if outcome.slide > limits.max_slide:
             return "slid"
         if outcome.overlap > limits.max_overlap:
             return "overlap"
-        return "stray_force" if outcome.stray_share > limits.max_stray else ""
+        if outcome.stray_share > limits.max_stray:
+            return "stray_force"
+        return "crushed" if outcome.force > self._max_force else ""
+
+    def _passing_fault(self) -> str:
+        """Return the first of the faults that may end again."""
+        outcome, limits = self._outcome, self.config.limits
+        if not self.config.task.in_place(outcome.drift, outcome.tilt):
+            return "drifted"
+        if outcome.imbalance > limits.max_imbalance:
+            return "not_carried"
+        return "moving" if outcome.speed > limits.max_speed else ""
 
     def _checked(self, action: NDArray[np.float32]) -> list[float]:
         values = action
@@ -557,7 +593,6 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
                 name: np.zeros_like(step_info[name]) for name in ("measured_force", "touching")
             }
             step_info |= dict.fromkeys(("force_error", "stray_force", "slip"), 0.0)
-        fault = failure or self._fault()
         info = {
             "status": self._loop.status or ("failed" if failure else "none"),
             **step_info,
@@ -566,8 +601,8 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
             **self._object_info,
             "structure_share": self._share.copy(),
             "failure": failure,
-            "fault": fault,
-            "is_success": not fault,
+            "fault": self._fault,
+            "is_success": not self._fault,
             **terms,
         }
         if self.config.agent.info == "all":

@@ -102,6 +102,7 @@ class Scene:
         if friction is not None:
             item = replace(item, friction=friction)
         self.config = replace(self.config, object=item)
+        self.core.mass = item.mass
         self.simulator.set_object(item)
 
     def set_gravity(self, gravity: Array) -> None:
@@ -199,8 +200,9 @@ class Scene:
         self.simulator.load(self.config, angles)
         self._joint_friction = 0.0
         self.gravity = np.array(self.config.gravity, dtype=float)
+        item = self.config.object
         self.core = core.Scene.make(
-            self.kinematics.tree, self.config.object.surface, self.config.gravity
+            self.kinematics.tree, item.surface, self.config.gravity, item.mass
         )
         self._snapshot = Snapshot(**self.core.arrays())
         self._core_is_current = False

@@ -24,7 +24,7 @@ def rewards(draw: st.DrawFn) -> RewardSettings:
     return RewardSettings(
         held=draw(st.floats(1e-6, 1e6)),
         iteration_scale=draw(st.floats(1e-6, 1e6)),
-        failure_cost=draw(st.floats(0.0, 1e6)),
+        fault_cost=draw(st.floats(0.0, 1e6)),
         **dict(zip(COSTS, np.minimum(weights, MAX_COST).tolist(), strict=True)),
     )
 
@@ -39,14 +39,28 @@ def rewards(draw: st.DrawFn) -> RewardSettings:
 )
 def test_holding_on_pays_more_than_letting_go(reward, iterations, force, torque, change, gamma):
     held, dropped = (
-        reward.terms(kept, iterations, (force, torque, change)) for kept in (True, False)
+        reward.terms(kept, iterations, (force, torque, change), not kept) for kept in (True, False)
     )
+    passing = reward.terms(False, iterations, (force, torque, change))
     now = sum(dropped.values())
     later = sum(held.values()) + gamma * sum(dropped.values())
     assert held.keys() == dropped.keys() == {"reward/held", *(f"reward/{name}" for name in COSTS)}
     assert later > now
     assert (1.0 - MAX_COST) * reward.held * (1.0 - 1e-9) <= sum(held.values()) <= reward.held
-    assert now == -reward.failure_cost
+    assert now == -reward.fault_cost
+    assert not any(passing.values())
+
+
+EVERYTHING = {
+    "max_drift": 10.0,
+    "max_slide": 10.0,
+    "max_overlap": 1.0,
+    "max_stray": 1e6,
+    "max_imbalance": 1e6,
+    "max_speed": 1e6,
+    "end_at_fault": False,
+}
+"""Limits within which everything counts as held."""
 
 
 @pytest.mark.parametrize(
@@ -62,7 +76,7 @@ def test_holding_on_pays_more_than_letting_go(reward, iterations, force, torque,
 def test_terms_are_recomputed(settings):
     """At one control tick per step."""
     env = FourFingerGrasp(
-        disturbance="random", limits={"max_drift": 10.0}, **{"agent.rate": 250}, **settings
+        disturbance="random", limits=EVERYTHING, **{"agent.rate": 250}, **settings
     )
     observed, info = env.reset(seed=3)
     weights = env.config.reward
@@ -89,7 +103,7 @@ def test_terms_are_recomputed(settings):
         assert info["peak_torque"] >= np.abs(env._loop.torques).max() - 1e-12
         assert terms["reward/torque"] == pytest.approx(-weights.torque * largest)
         contacts = Grasp.from_contacts(
-            observed[18:30].reshape(4, 3), observed[30:42].reshape(4, 3), float(observed[82])
+            observed[18:30].reshape(4, 3), observed[30:42].reshape(4, 3), info["object_friction"]
         )
         least = ForceOptimizer(contacts, method="conic").solve(info["wrench"]).total_normal_force
         total = force[:, 0].sum()
@@ -100,7 +114,7 @@ def test_terms_are_recomputed(settings):
 
 
 def test_lost_closure_costs_the_most():
-    env = FourFingerGrasp(limits={"max_drift": 10.0, "max_tilt": 10.0, "max_contact_gap": 10.0})
+    env = FourFingerGrasp(limits={**EVERYTHING, "max_tilt": 10.0, "max_contact_gap": 10.0})
     env.reset(seed=0, options={"wrench": [0.0, 0.0, 0.0, 0.0, 0.0, 3.0]})
     for _ in range(50):
         info = env.step(np.zeros(6, dtype=np.float32))[4]

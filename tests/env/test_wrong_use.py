@@ -63,6 +63,9 @@ OVERRIDE: list[tuple[dict[str, Any], str]] = [
     ({"randomize": {"mass": (0.3, 0.1)}}, "low <= high"),
     ({"randomize": {"gravity": (1.0, 2.0)}}, "must be a function"),
     ({"randomize": "size", "contact_points": POINTS}, "contact_points belong to one shape"),
+    ({"controller": "pd"}, r"class ControllerSettings, .*did you mean {'kind': 'pd'}"),
+    ({"solver": "newtn"}, r"class SolverSettings, or a dict of its settings, got 'newtn'$"),
+    ({"disturbance": [0.0] * 6}, r"give {'name': 'constant', 'value': \(fx, fy, fz"),
     ({"hand": {"name": "four_fingr"}}, r"unknown hand 'four_fingr': did you mean 'four_finger'"),
 ]
 WRONG: list[tuple[str, dict[str, Any], str]] = [
@@ -120,11 +123,11 @@ def test_wrong_input_is_named(call, given, message):
         ("motion", "did you mean 'task.motion'"),
         ("sensors.dely", "did you mean 'sensors.delay'"),
         ("object_mass", "did you mean 'object.mass'"),
+        ("wrench", "did you mean 'disturbance' or 'sensors.wrench'"),
+        ("render_size", "did you mean 'pictures.size'"),
         ("mas", "got an unexpected keyword argument 'mas': did you mean 'mass'"),
     ],
 )
-        ("wrench", "did you mean 'disturbance' or 'sensors.wrench'"),
-        ("render_size", "did you mean 'pictures.size'"),
 def test_unknown_keywords_name_the_likely_one(name, meant):
     for call in (
         EnvConfig().override,

@@ -77,8 +77,8 @@ void make_answers(Answers* answers, int link, int place,
 }
 
 std::shared_ptr<Scene> make_scene(const std::shared_ptr<Tree>& tree, const Surface& surface,
-                                  const std::array<double, 3>& gravity) {
-  return std::make_shared<Scene>(tree, surface, point(gravity.data()));
+                                  const std::array<double, 3>& gravity, double mass) {
+  return std::make_shared<Scene>(tree, surface, point(gravity.data()), mass);
 }
 
 bool read_scene(Scene& scene, nb::handle numbers) {
@@ -146,7 +146,9 @@ void bind_scene(nb::module_& m) {
   m.def("reading_size", &Reading::size, "joints"_a, "contacts"_a,
         "Return the number of values in a reading.");
   nb::class_<Scene>(m, "Scene", "A hand and an object in a simulator, as last read.")
-      .def_static("make", &make_scene, "tree"_a, "surface"_a, "gravity"_a)
+      .def_static("make", &make_scene, "tree"_a, "surface"_a, "gravity"_a, "mass"_a,
+                  "gravity: (3,) [m/s^2], world frame. mass: of the object [kg].")
+      .def_rw("mass", &Scene::mass, "Mass of the object [kg].")
       .def(
           "set_gravity",
           [](Scene& scene, const std::array<double, 3>& g) { scene.gravity = point(g.data()); },

@@ -132,6 +132,9 @@ constexpr struct {
     {"slip_distance", [](const StepReport& t) { return value(t.outcome.worst.slide); }},
     {"overlap", [](const StepReport& t) { return value(t.outcome.worst.overlap); }},
     {"stray_share", [](const StepReport& t) { return value(t.outcome.worst.stray); }},
+    {"peak_force", [](const StepReport& t) { return value(t.outcome.worst.force); }},
+    {"imbalance", [](const StepReport& t) { return value(t.outcome.imbalance); }},
+    {"speed", [](const StepReport& t) { return value(t.outcome.speed); }},
     {"drift", [](const StepReport& t) { return value(t.outcome.drift); }},
     {"tilt", [](const StepReport& t) { return value(t.outcome.tilt); }},
     {"peak_torque", [](const StepReport& t) { return value(t.c.peak); }},
@@ -215,6 +218,9 @@ void bind_simulated_hand(nb::module_& m) {
       .def_ro("force_error", &Outcome::force_error)
       .def_ro("slip", &Outcome::slip)
       .def_ro("stray", &Outcome::stray)
+      .def_ro("imbalance", &Outcome::imbalance)
+      .def_ro("speed", &Outcome::speed)
+      .def_prop_ro("force", [](const Outcome& o) { return o.worst.force; })
       .def_prop_ro("slide", [](const Outcome& o) { return o.worst.slide; })
       .def_prop_ro("overlap", [](const Outcome& o) { return o.worst.overlap; })
       .def_prop_ro("stray_share", [](const Outcome& o) { return o.worst.stray; });
@@ -224,12 +230,15 @@ void bind_simulated_hand(nb::module_& m) {
       .def_static(
           "make",
           [](const std::shared_ptr<Scene>& scene, const std::shared_ptr<HandController>& controller,
-             nb::handle optimizer, const Body& body, const SensorSettings& sensors) {
-            return std::make_unique<SimulatedHand>(scene, controller, optimizer_of(optimizer), body,
-                                                   sensors);
+             nb::handle optimizer, double friction, const Body& body,
+             const SensorSettings& sensors) {
+            return std::make_unique<SimulatedHand>(scene, controller, optimizer_of(optimizer),
+                                                   friction, body, sensors);
           },
-          "scene"_a, "controller"_a, "optimizer"_a, "body"_a, "sensors"_a,
-          "controller: configured. optimizer: the `ForceOptimizer` of the contacts of all fingers.")
+          "scene"_a, "controller"_a, "optimizer"_a, "friction"_a, "body"_a, "sensors"_a,
+          "controller: configured. optimizer: the `ForceOptimizer` of the contacts of all fingers. "
+          "friction: the true one, over\n"
+          "that of the optimizer.")
       .def("reset", &SimulatedHand::reset,
            "Start a new episode and activate the controller; before its first tick the scene\n"
            "stands still.")

@@ -8,8 +8,8 @@ namespace grasp {
 
 // Costs of an agent's step, each from 0 to 1.
 struct Costs {
-  // fraction of the commanded normal forces above the smallest that balance the wrench; 1: none
-  // does
+  // fraction of the commanded normal forces above the smallest that balance the wrench with all of
+  // the true friction; 1: none does
   double force;
   double torque;  // largest torque of the step as a fraction of its limit
   // of the commanded forces, relative to those before and after: sums of |components|
@@ -24,15 +24,16 @@ class SimulatedHand {
   Sensors sensors;
   HandState state;  // what the controller gets
 
-  // method: its contacts are those of all fingers.
+  // method: its contacts are those of all fingers. friction: the true one, over that of the method
   SimulatedHand(std::shared_ptr<Scene> viewed, std::shared_ptr<HandController> controls,
-                const ForceOptimizer& method, const Body& body, const SensorSettings& sensing)
+                const ForceOptimizer& method, double friction, const Body& body,
+                const SensorSettings& sensing)
       : scene(std::move(viewed)),
         controller(std::move(controls)),
         body(body),
         sensors(scene, sensing),
         state(scene->tree->joints(), scene->tree->fingers()),
-        least_sum_({with_weight_one(method.contacts()), {}, method.margin()},
+        least_sum_({true_contacts(method.contacts(), friction)},
                    {.method = Method::conic, .tolerance = 1e-4}),
         least_sum_row_(least_sum_.size()),
         slid_(scene->tree->fingers()),
@@ -73,6 +74,7 @@ class SimulatedHand {
   // The hand is at rest: the measured forces become the commanded ones.
   void rest(const Known& known) {
     measure(known);
+    has_tick_ = false;
     worst_.slide = 0.0;
     forget_slides();  // the first tick counts it again
     controller->activate(state);
@@ -88,6 +90,10 @@ class SimulatedHand {
   void begin_step() {
     controller->forces().effort = {};
     step_force_ = controller->force;
+    unbalanced_ = {0.0, 0.0, 0.0};
+    ticks_ = 0;
+    pushed_ = 0;
+    has_tick_ = false;
   }
   // Costs of the step since `begin_step`, on the contacts currently seen.
   Costs costs() {
@@ -123,6 +129,7 @@ class SimulatedHand {
     double overlap = 0.0;  // [m] largest penetration of a tip into the object
     // force of other parts on the object, divided by max(|external force + weight|, weight)
     double stray = 0.0;
+    double force = 0.0;  // [N] largest force of a tip on the object
   };
   // Quality of the hold, from the true state.
   struct Outcome {
@@ -131,6 +138,10 @@ class SimulatedHand {
     double force_error = 0.0;  // largest component of measured - commanded force [N]
     double slip = 0.0;         // highest tangential speed of a touching tip on the object [m/s]
     double stray = 0.0;        // force of parts other than fingertips on the object [N]
+    // force that the fingertips lack to move the object as the target moves, a mean over the
+    // agent's step, as a fraction of the load; 0 before the first
+    double imbalance = 0.0;
+    double speed = 0.0;  // bound on the speed of the contacts against the target motion [m/s]
     Worst worst;
   };
   // measured: receives the forces (N, 3) in the commanded contact frames [N].
@@ -142,7 +153,9 @@ class SimulatedHand {
                 .drift = length(error.position),
                 .tilt = length(error.orientation),
                 .stray = now.stray,
+                .imbalance = imbalance(),
                 .worst = worst()};
+    double radius = 0.0;
     for (int i = 0; i < int(slid_.size()); ++i) {
       for (int a = 0; a < 3; ++a) {
         const int j = 3 * i + a;
@@ -150,7 +163,9 @@ class SimulatedHand {
         out.force_error = std::max(out.force_error, std::abs(measured[j] - force[j]));
       }
       if (now.touching[i] > 0.0) out.slip = std::max(out.slip, now.slip[i]);
+      radius = std::max(radius, length(now.points[i]));
     }
+    out.speed = length(error.linear) + radius * length(error.angular);
     return out;
   }
 
@@ -160,12 +175,19 @@ class SimulatedHand {
   std::vector<double> least_sum_row_;
   Worst worst_;
   double load_ = 1.0;  // [N] max(|external force + weight|, weight): a push may cancel the weight
+  // [N] world frame: what must be balanced during the tick that runs, and the sum of what was not
+  // in the earlier ticks of the agent's step
+  Point asked_{}, unbalanced_{};
+  int ticks_ = 0;                   // number of these
+  std::uint64_t pushed_ = 0;        // fingers that pushed in them
+  bool has_tick_ = false;           // a tick of the step runs, or has just ended
   std::vector<Point> slid_;         // (N,) path of each tip on the object by sliding [m]
   std::vector<double> step_force_;  // (N, 3) [N] commanded when the agent's step began
 
   // The least sum counts newtons.
-  static Contacts with_weight_one(Contacts contacts) {
+  static Contacts true_contacts(Contacts contacts, double friction) {
     contacts.set_weights(Objective{});
+    contacts.narrow(friction);
     return contacts;
   }
   double late(int ticks) const { return ticks * sensors.settings.tick; }
@@ -175,15 +197,35 @@ class SimulatedHand {
       return false;
     sensors.see(known.external, known.noise, body, known.gravity);
     tell(known.gravity, known.target);
+    if (has_tick_) {
+      unbalanced_ += left();
+      pushed_ |= scene->now.mask();
+      ++ticks_;
+    }
+    const Snapshot& now = scene->now;
+    const Point external = now.rotation * point(known.external);
+    asked_ = external + scene->mass * (scene->gravity - known.target.linear_acceleration);
+    has_tick_ = true;
     for (std::size_t i = 0; i < slid_.size(); ++i) {
       if (scene->now.touching[i] > 0.0) slid_[i] += sensors.settings.tick * scene->now.sliding[i];
       worst_.slide = std::max(worst_.slide, length(slid_[i]));
     }
     load_ =
-        std::max(length(point(known.external) + body.mass * scene->now.to_object(scene->gravity)),
-                 STANDARD_GRAVITY * body.mass);
+        std::max(length(external + scene->mass * scene->gravity), STANDARD_GRAVITY * scene->mass);
     worst_ = worst();
     return true;
+  }
+  // What the forces of the last reading left unbalanced [N], world frame.
+  Point left() const {
+    Point total{0.0, 0.0, 0.0};
+    for (const Point& force : scene->now.forces) total += force;
+    return scene->now.rotation * total + asked_;
+  }
+  // Fewer than two fingertips carry nothing, also without a load.
+  double imbalance() const {
+    if (!has_tick_) return 0.0;
+    const double share = length(unbalanced_ + left()) / ((ticks_ + 1) * load_);
+    return std::popcount(pushed_ | scene->now.mask()) > 1 ? share : std::max(share, 1.0);
   }
   // Write the message of the sensors.
   void tell(const Point& gravity, const Target& target) {
@@ -204,6 +246,7 @@ class SimulatedHand {
   Worst worst() const {
     Worst out = worst_;
     for (double gap : scene->now.gaps) out.overlap = std::max(out.overlap, -gap);
+    for (const Point& force : scene->now.forces) out.force = std::max(out.force, length(force));
     out.stray = std::max(out.stray, scene->now.stray / load_);
     return out;
   }

@@ -176,10 +176,15 @@ struct Scene {
   std::shared_ptr<const Tree> tree;
   Surface surface;
   Point gravity;  // [m/s^2], world
+  double mass;    // [kg] of the object
   Snapshot now;
 
-  Scene(std::shared_ptr<const Tree> hand, Surface surface, const Point& gravity)
-      : tree(std::move(hand)), surface(std::move(surface)), gravity(gravity), now(tree) {}
+  Scene(std::shared_ptr<const Tree> hand, Surface surface, const Point& gravity, double mass)
+      : tree(std::move(hand)),
+        surface(std::move(surface)),
+        gravity(gravity),
+        mass(mass),
+        now(tree) {}
   bool read(const double* numbers, std::size_t count) {
     return now.read(*tree, surface, gravity, {numbers, count, tree->joints()});
   }
