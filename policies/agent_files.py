@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from safetensors.numpy import load, save
 
-from grasp_env.env.observation import action_size, bounds
+from grasp_env.env.actions import MODES
+from grasp_env.env.observation import bounds
 from grasp_env.errors import ModelFileError
 from grasp_env.inputs.files import WEIGHTS, as_path, digest, file_fault, parsed, replacing, unpacked
 from policies.checkpoint import described, signed
@@ -121,8 +122,8 @@ def read_meta(folder: Path) -> dict[str, Any]:
         raise ModelFileError(
             f"agent {file} is for a hand of {fingers!r} fingers and {joints!r} joints: {_AGAIN}"
         )
-    observed = len(bounds(fingers, joints))
-    acted = action_size(meta["action"], fingers)
+    observed = len(bounds(fingers, joints, meta["action"]))
+    acted = MODES[meta["action"]].size(fingers)
     if (meta.get("observation_size"), meta.get("action_size")) != (observed, acted):
         raise ModelFileError(
             f"agent {file} goes from {meta.get('observation_size')!r} numbers to {meta.get('action_size')!r}; {ENV_ID} shows {observed} "

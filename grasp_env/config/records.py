@@ -27,7 +27,7 @@ from grasp_env.settings import (
 )
 
 CONTROLLERS = ("optimized", "constant_squeeze", "pd")
-ACTION_MODES = ("initial_force", "contact_force", "none")
+ACTION_MODES = ("initial_force", "residual", "grip", "contact_force", "none")
 COSTS = ("iterations", "force", "torque", "force_change")
 """Costs of a step in the reward, and their weights in `RewardSettings`."""
 MAX_COST = 0.9
@@ -279,7 +279,8 @@ class AgentSettings(Settings):
     action_mode: str = setting(
         "initial_force",
         one_of(ACTION_MODES),
-        "Action: an adjustment of the solver's start, the contact forces, or ignored.",
+        "Action: an adjustment of the solver's start, a change of its forces, its margin, the contact forces without a solver, or "
+        "ignored.",
     )
     action_scale: float = setting(5.0, real(POSITIVE), "Force at action 1.", unit="N")
     observation: str = setting(
@@ -411,7 +412,6 @@ class EpisodeLimits(Settings):
         real(NOT_NEGATIVE),
         "Largest force on the object by parts other than fingertips, as a share of the load: external force and weight, at least the weight.",
     )
-
     max_force: float | None = setting(
         None,
         real(POSITIVE),
@@ -436,6 +436,7 @@ class EpisodeLimits(Settings):
         "End the episode at the first fault that lasts.",
         none="True if an agent sets the contact forces",
     )
+
 
 @dataclass(frozen=True)
 class PictureSettings(Settings):

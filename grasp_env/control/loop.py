@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -38,6 +38,28 @@ STALE = 0.02
 """Largest age of measurements beyond their known delay [s]."""
 MAX_BANDWIDTH = 0.3
 """Largest bandwidth times delay; critically damped feedback oscillates from 0.65 on."""
+
+
+class AgentRequest(NamedTuple):
+    """What an agent asks of a step. Every member is optional.
+
+    Attributes:
+        adjustment: (max(3N - 6, 1),) [N] along internal forces of the planned contacts, added to
+            the start, which is then repaired.
+        residual: (N, 3) [N], contact frames, added to the optimal forces; the nearest balanced ones
+            within the margin are commanded.
+        margin: (2,) share of friction and preload [N] of the margin, in place of the settings'.
+        forces: (N, 3) forces to command instead of optimised ones [N], contact frames.
+    """
+
+    adjustment: Array | None = None
+    residual: Array | None = None
+    margin: Array | None = None
+    forces: Array | None = None
+
+
+NOTHING = AgentRequest()
+"""The request of a step without an agent."""
 
 
 class ForceLoop:
@@ -113,6 +135,7 @@ class ForceLoop:
             scene.core,
             self.controller,
             self.optimizer.core,
+            hand.tip_friction / assumed,
             believed_body(config, item),
             sensor_settings(config),
         )
@@ -135,7 +158,6 @@ class ForceLoop:
         soft = {"contact_model": "soft", "torsional_friction": self._torsional_friction}
         return Grasp.from_contacts(points, normals, self._friction, **soft)
 
-            hand.tip_friction / assumed,
     def reset(self, rng: np.random.Generator | None = None) -> None:
         """Forget the episode; `rng` draws one seed for the noise (None: keep the current noise)."""
         self.scene.look()
@@ -217,8 +239,7 @@ class ForceLoop:
         gravity: Array,
         target: Array,
         due: bool,
-        adjustment: Array | None = None,
-        forces: Array | None = None,
+        asked: AgentRequest = NOTHING,
     ) -> list[float]:
         """Run one control tick and return the joint torques (M,) [N m].
 
@@ -227,12 +248,10 @@ class ForceLoop:
             gravity: (3,) gravity that the controller assumes [m/s^2], world frame.
             target: (19,) desired motion, see `env.plan.Plan`.
             due: True at the first tick of an agent's step.
-            adjustment: (max(3N - 6, 1),) [N] along internal forces of the planned contacts, added
-                to the start, which is then repaired.
-            forces: (N, 3) forces to command instead of optimised ones [N], contact frames.
+            asked: what the agent asks of this step.
         """
         reading = self.scene.new_reading()
-        if forces is not None and self._held != Hold.direct:
+        if asked.forces is not None and self._held != Hold.direct:
             self._hold(Hold.direct)
         noise = None if self._noise is None else self._noise()
         by_rule = due and self._needs_rule
@@ -244,25 +263,31 @@ class ForceLoop:
         if self._settling:
             self.controller.take_hold()
         if by_rule:
-            return self._from_rule(adjustment)
-        return self.controller.act(due, adjustment, None, forces)
+            return self._from_rule(asked)
+        return self._act(due, asked, None)
 
-    def _from_rule(self, adjustment: Array | None) -> list[float]:
+    def _act(self, due: bool, asked: AgentRequest, start: Array | None) -> list[float]:
+        return self.controller.act(
+            due, asked.adjustment, start, asked.forces, asked.residual, asked.margin
+        )
+
+    def _from_rule(self, asked: AgentRequest) -> list[float]:
         """Run the tick of a method with a Python start rule, on the measured contacts."""
         touching = self.fingers
         try:
             positions, normals, preload = (part[touching] for part in self._seen)
             grasp = Grasp.from_contacts(positions, normals, self._friction)
-            margin = Margin(self.margin.friction, preload)
+            share = self.margin.friction if asked.margin is None else float(asked.margin[0])
+            margin = Margin(share, preload)
             problem = shifted(margin, grasp, self.wrench)
             start = rule_start(self.optimizer.initial, problem, self.optimizer.objective)
         except self._lost_closure:  # the method reports this from its own start
             self._start = None
-            return self.controller.act(True, adjustment, None, None)
+            return self._act(True, asked, None)
         force = np.zeros((self.count, 3))
         force[touching] = start.force
         self._start = start
-        torques = self.controller.act(True, adjustment, force, None)
+        torques = self._act(True, asked, force)
         if self.controller.code == REFUSED and not isinstance(self.initial_force, str):
             raise refused_start(problem, start, None)
         return torques

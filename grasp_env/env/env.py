@@ -20,11 +20,12 @@ with need("sim"):
 
 from grasp_env.config import EnvConfig
 from grasp_env.config.env import as_config, keywords_to_json
-from grasp_env.control.loop import ForceLoop
+from grasp_env.control.loop import NOTHING, ForceLoop
 from grasp_env.control.structure import finger_structure
+from grasp_env.env.actions import MODES
 from grasp_env.env.annotate import Annotator
 from grasp_env.env.motors import Motors
-from grasp_env.env.observation import Observer, action_size
+from grasp_env.env.observation import Observer
 from grasp_env.env.plan import Plan, make_plan
 from grasp_env.env.stage import Stage
 from grasp_env.errors import GraspError, InvalidInputError, SimulationError, shown
@@ -97,6 +98,12 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
       middle-left, middle-right, left-right), orthonormalised. They move continuously with the
       contacts; with fewer contacts they are projected. The solver starts from the point with the
       smallest Phi on the segment from the start rule's force to the adjusted one.
+    - "residual" (3N,): a change of the solver's forces, `action_scale` newtons along normal, o and
+      t of each finger. Commanded are the forces nearest to their sum that balance the wrench within
+      the margin, as far as the motors can. Zero is the solver's force.
+    - "grip" (2,): the margin of the solver. The first number goes from all of the friction at -1
+      through `controller.friction_margin` at 0 to a share of 0.2 at 1; the second from a preload of
+      0 through `controller.preload` to `action_scale` newtons more.
     - "contact_force" (3N,): the contact forces themselves, without a solver: per finger normal in
       [0, 2 `action_scale`], o and t in +-`action_scale`.
     - "none" (1,): ignored.
@@ -122,6 +129,13 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     | 66-69 | `touching` | touching | 1 | - | 1 |
     | 70-81 | `joint_angles` | joint angle | rad | - | 7 |
     | 82 | `friction` | solver friction | 1 | - | 10 |
+
+    With the action mode "grip" there are 2N more, so that an agent feels the grip:
+
+    | key | name | unit | frame | bound |
+    |---|---|---|---|---|
+    | `tangential_share` | tangential over normal measured force | 1 | - | 10 |
+    | `sliding` | speed of the fingertip along the object | m/s | - | 10 |
 
     `observation="dict"` gives a `Dict` of the same numbers by their keys.
 
@@ -185,6 +199,9 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     | `slip_distance` | | m | largest distance since reset that a fingertip slid on the object |
     | `overlap` | | m | largest penetration of a fingertip since reset |
     | `stray_share` | | 1 | largest `stray_force` since reset, as a fraction of the load |
+    | `peak_force` | | N | largest force of a fingertip on the object since reset |
+    | `imbalance` | | 1 | force that the fingertips lacked to move the object as desired, a mean over the step, as a fraction of the load |
+    | `speed` | | m/s | bound on the speed of the contacts against the desired motion |
     | `drift`, `tilt` | | m, rad | distance and angle of the object from its target pose |
     | `peak_torque` | | N m | largest absolute torque since reset |
     | `followed` | | 1 | iterations at the control ticks after the step's first |
@@ -199,9 +216,6 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     | `redrawn` | | 1 | number of random objects rejected at this reset because the hand could not hold them |
     | `failure`, `fault`, `is_success` | | str, str, bool | see "Episode end" |
     | `reward/held`, ... | | 1 | terms of the reward |
-    | `peak_force` | | N | largest force of a fingertip on the object since reset |
-    | `imbalance` | | 1 | force that the fingertips lacked to move the object as desired, a mean over the step, as a fraction of the load |
-    | `speed` | | m/s | bound on the speed of the contacts against the desired motion |
 
     `agent={"info": "numbers"}` leaves the strings out and makes arrays of all numbers, as torchrl
     needs.
@@ -260,7 +274,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         tips, joints = hand.finger_count, hand.joint_count
         self._torque_limits = hand.torque_limits
         self._annotator = Annotator(config, hand)
-        self._observer = Observer(tips, joints)
+        self._observer = Observer(tips, joints, config.agent.action_mode)
         vector = gym.spaces.Box(-self._observer.bound, self._observer.bound, dtype=np.float32)
         self._as_dict = config.agent.observation == "dict"
         blocks: dict[str, gym.Space[Any]] = {
@@ -268,7 +282,8 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
             for block in self._observer.fields
         }
         self.observation_space = gym.spaces.Dict(blocks) if self._as_dict else vector
-        self._action_shape = (action_size(config.agent.action_mode, tips),)
+        self._mode = MODES[config.agent.action_mode]
+        self._action_shape = (self._mode.size(tips),)
         self.action_space = gym.spaces.Box(-1.0, 1.0, self._action_shape, dtype=np.float32)
         self._ticks_per_step = config.controller.rate // config.agent.rate
         limits = config.limits
@@ -277,6 +292,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         assert limits.max_tilt is not None
         self._max_drift = limits.max_drift
         self._max_tilt = limits.max_tilt
+        self._max_force = math.inf if limits.max_force is None else limits.max_force
         self._step_limit = max(1, round(limits.duration * config.agent.rate))
         self._camera: Camera | None = None
         self._window: Painter | None = None
@@ -293,7 +309,6 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     ) -> tuple[Any, dict[str, Any]]:
         """Return to the settled grasp, with a new disturbance and new randomised settings.
 
-        self._max_force = math.inf if limits.max_force is None else limits.max_force
         Args:
             seed: seed of everything that is drawn; None: the generator continues.
             options: None, or {"wrench": (6,)}; see the class.
@@ -346,6 +361,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         self._report_structure(scene, plan)
         terms = self.config.reward.terms(True, 0, NO_COSTS)
         self._observed = self._observe(scene)
+        self._find_fault()
         if self.render_mode == "human":
             self.render()
         return self._observation(), self._info(scene, terms)
@@ -361,7 +377,6 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         if not self._started:
             raise SimulationError("step before reset: call reset() first")
         if self._ended:
-        self._find_fault()
             raise SimulationError(
                 f"the episode ended ({self._failure or 'time is up'}): call reset()"
             )
@@ -374,6 +389,10 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
             self._failure = "simulation_diverged"
         except GraspError:
             self._failure = "force_optimisation"
+        was_broken = self._broken
+        self._find_fault()
+        if self._broken and self.config.limits.end_at_fault:
+            self._failure = self._fault
         loop = self._loop
         held = not self._fault
         iterations = loop.effort.iterations if loop.closure else math.inf
@@ -391,10 +410,6 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         """Return an (H, W, 3) picture in "rgb_array" mode; update the window in "human" mode.
 
         Without a `render_mode` it returns None with Gymnasium's warning.
-        was_broken = self._broken
-        self._find_fault()
-        if self._broken and self.config.limits.end_at_fault:
-            self._failure = self._fault
 
         Raises:
             SimulationError: the environment is closed.
@@ -469,12 +484,9 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     def _simulate(self, scene: Scene, numbers: list[float]) -> None:
         loop = self._loop
         loop.begin_step()
-        adjustment = forces = None
-        if agent.action_mode == "contact_force":
-            forces = self._forces(np.array(numbers))
-        # the one squeeze of two soft contacts is not adjusted
-        elif agent.action_mode == "initial_force" and any(numbers) and loop.count > 2:
-            adjustment = agent.action_scale * np.array(numbers)
+        asked = NOTHING
+        if any(numbers) or self._mode.asks_with_zeros:
+            asked = self._mode.request(np.array(numbers), self.episode)
         assumed_gravity = self._assumed_gravity(scene)
         for k in range(self._ticks_per_step):
             tick = min(self._tick, self._last_row)
@@ -482,9 +494,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
             if self._plan_acts:
                 external, push = self._apply_plan(scene, tick)
                 assumed_gravity = self._assumed_gravity(scene)
-            torques = loop.tick(
-                external, assumed_gravity, self._targets[tick], k == 0, adjustment, forces
-            )
+            torques = loop.tick(external, assumed_gravity, self._targets[tick], k == 0, asked)
             scene.advance(torques if self._motors.ideal else self._motors(torques), push)
             self._tick += 1
             self._time_without_closure += loop.dt
@@ -570,13 +580,6 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
             return numbers
         return [min(max(number, -1.0), 1.0) for number in numbers]
 
-    def _forces(self, numbers: Array) -> Array:
-        """Return the forces (N, 3) of an action in mode "contact_force"."""
-        scale = self.config.agent.action_scale
-        forces = scale * numbers.reshape(-1, 3)
-        forces[:, 0] += scale
-        return forces
-
     def _observe(self, scene: Scene) -> NDArray[np.float32]:
         scene.look()
         observed, self._outcome = self._observer(self._targets[min(self._tick, self._last_row)])
@@ -644,11 +647,14 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
 
 
 def why_idle(config: EnvConfig) -> str:
-    """Return why adjusting the start changes nothing; "" if it does, or is off on purpose."""
-    if config.agent.action_mode != "initial_force":
+    """Return why actions change nothing; "" if they do, or are off on purpose."""
+    mode = config.agent.action_mode
+    if mode in ("contact_force", "none"):
         return ""
     if config.controller.kind != "optimized":
         return f"controller.kind={config.controller.kind!r} does not optimise"
+    if mode != "initial_force":
+        return ""
     if config.solver.method == "conic":
         return "method='conic' has no start"
     if config.object.torsional_friction > 0.0:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from grasp_env.control.loop import ForceLoop, adjustment_size
+from grasp_env.control.loop import ForceLoop
 from grasp_env.core import Gather, Outcome
 from grasp_env.inputs.arguments import Array
 from grasp_env.sim.snapshot import Snapshot
@@ -25,10 +25,14 @@ class Field:
     bound: float
 
 
-def fields(tips: int = 4, joints: int = 12) -> tuple[Field, ...]:
-    """Return the blocks for a hand with these numbers of tips and joints."""
+def fields(tips: int = 4, joints: int = 12, mode: str = "") -> tuple[Field, ...]:
+    """Return the blocks for a hand with these numbers of tips and joints, and an action mode."""
     linear = "object linear velocity minus the desired one"
     angular = "object angular velocity minus the desired one"
+    felt = (
+        Field("tangential_share", "tangential over normal measured force", tips, "1", "-", 10.0),
+        Field("sliding", "speed of the fingertip along the object", tips, "m/s", "-", 10.0),
+    )
     return (
         Field("force", "wrench to balance: force", 3, "N", "object", 200.0),
         Field("moment", "wrench to balance: moment", 3, "N m", "object", 20.0),
@@ -43,17 +47,13 @@ def fields(tips: int = 4, joints: int = 12) -> tuple[Field, ...]:
         Field("touching", "touching", tips, "1", "-", 1.0),
         Field("joint_angles", "joint angle", joints, "rad", "-", 7.0),
         Field("friction", "solver friction", 1, "1", "-", 10.0),
+        *(felt if mode == "grip" else ()),
     )
 
 
-def action_size(mode: str, tips: int) -> int:
-    """Return the size of an action in a mode."""
-    return {"initial_force": adjustment_size(tips), "contact_force": 3 * tips, "none": 1}[mode]
-
-
-def bounds(tips: int, joints: int) -> NDArray[np.float32]:
+def bounds(tips: int, joints: int, mode: str = "") -> NDArray[np.float32]:
     """Return the bound of each entry; observations are clipped to +-bound."""
-    blocks = fields(tips, joints)
+    blocks = fields(tips, joints, mode)
     return np.repeat([block.bound for block in blocks], [block.size for block in blocks]).astype(
         np.float32
     )
@@ -68,8 +68,10 @@ class Observer:
         measured: (N, 3) measured forces in the commanded contact frames [N].
     """
 
-    def __init__(self, tips: int, joints: int) -> None:
-        self.fields, self.bound = fields(tips, joints), bounds(tips, joints)
+    def __init__(self, tips: int, joints: int, mode: str = "") -> None:
+        self.fields, self.bound = fields(tips, joints, mode), bounds(tips, joints, mode)
+        self._feels = mode == "grip"
+        self._share = np.zeros(tips)
         self._ends = np.cumsum([block.size for block in self.fields])[:-1]
         self.error, self.measured = np.zeros(12), np.zeros((tips, 3))
 
@@ -94,9 +96,15 @@ class Observer:
             snapshot.angles,
             np.array([loop.friction]),
         ]
+        if self._feels:
+            arrays += [self._share, loop.seen.slip]
         self._gather = Gather(arrays, self.bound)
 
     def __call__(self, target: Array) -> tuple[NDArray[np.float32], Outcome]:
         """Return the clipped observation and the state of the hold; target: (19,) desired motion."""
         outcome = self._loop.outcome(target, self.error, self.measured)
+        if self._feels:
+            normal, tangential = self.measured[:, 0], np.hypot(*self.measured[:, 1:].T)
+            np.divide(tangential, normal, out=self._share, where=normal > 0.0)
+            self._share[normal <= 0.0] = 0.0
         return self._gather(), outcome

@@ -166,7 +166,9 @@ REASONS = [
     ({"method": "conic"}, "no start"),
     ({"controller": {"kind": "pd"}}, "does not optimise"),
     ({"object": {"torsional_friction": 0.01}}, "soft contacts"),
+    ({"controller": {"kind": "pd"}, "action_mode": "grip"}, "does not optimise"),
     ({"initial_force": "previous"}, ""),
+    ({"method": "newton", "action_mode": "residual"}, ""),
     ({"method": "newton", "action_mode": "none"}, ""),
     ({"action_mode": "contact_force"}, ""),
 ]

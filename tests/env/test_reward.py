@@ -67,6 +67,8 @@ EVERYTHING = {
     "settings",
     [
         {"shape": "sphere"},
+        {"action_mode": "residual"},
+        {"controller": {"friction_error": 0.2}},
         {"solver": {"force_weight": 4.0}},
         {"action_mode": "contact_force"},
         {"controller": {"kind": "pd"}},

@@ -9,14 +9,15 @@ import pytest
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 
-from grasp_env.env.observation import action_size, bounds
+from grasp_env.env.actions import MODES
+from grasp_env.env.observation import bounds
 from grasp_env.errors import InvalidInputError, ModelFileError
 from policies import TrainedAgent, ZeroPolicy
 from policies.agent import NAMES
 from policies.agent_files import META, checkpoints, write_checkpoint
 
 SEEN = len(bounds(4, 12))
-ACTIONS = action_size("initial_force", 4)
+ACTIONS = MODES["initial_force"].size(4)
 META_DATA = {
     "action": "initial_force",
     "fingers": 4,

@@ -130,13 +130,14 @@ class RLConfig:
     def sizes(self) -> dict[str, int]:
         """Number of fingers and joints of the hand, and sizes of observation and action."""
         from grasp_env.config.env import as_config
-        from grasp_env.env.observation import action_size, bounds
+        from grasp_env.env.actions import MODES
+        from grasp_env.env.observation import bounds
 
         hand = as_config(self.env_settings).hand_description
         fingers, joints = hand.finger_count, hand.joint_count
         return {
             "fingers": fingers,
             "joints": joints,
-            "observation_size": len(bounds(fingers, joints)),
-            "action_size": action_size(self.action, fingers),
+            "observation_size": len(bounds(fingers, joints, self.action)),
+            "action_size": MODES[self.action].size(fingers),
         }

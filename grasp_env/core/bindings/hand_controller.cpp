@@ -25,8 +25,12 @@ HandController& configured(nb::handle self) {
 class AgentStep {
  public:
   AgentStep(const HandController& controller, nb::handle adjustment, nb::handle start,
-            nb::handle command)
-      : adjustment_(adjustment), start_(start), command_(command) {
+            nb::handle command, nb::handle residual, nb::handle margin)
+      : adjustment_(adjustment),
+        start_(start),
+        command_(command),
+        residual_(residual),
+        margin_(margin) {
     const int fingers = controller.model().tree->fingers();
     const auto forces = [&](const Buffer& from, nb::handle object) {
       if (object.is_none()) return Doubles{};
@@ -39,6 +43,11 @@ class AgentStep {
       step.adjustment = adjustment_.numbers();
     }
     step.force = forces(command_, command);
+    step.residual = forces(residual_, residual);
+    if (!margin.is_none()) {
+      if (!margin_.has(2)) throw nb::type_error("margin must be (2,)");
+      step.margin = {margin_.data()[0], margin_.data()[1]};
+    }
     if (!start.is_none()) {
       step.start = Start::given;
       step.force = forces(start_, start);
@@ -47,14 +56,14 @@ class AgentStep {
   StepRequest step;
 
  private:
-  Buffer adjustment_, start_, command_;
+  Buffer adjustment_, start_, command_, residual_, margin_;
 };
 
 nb::typed<nb::list, double> act(nb::handle self, bool due, nb::handle adjustment, nb::handle start,
-                                nb::handle command) {
+                                nb::handle command, nb::handle residual, nb::handle margin) {
   HandController& controller = configured(self);
   if (due) {
-    const AgentStep step(controller, adjustment, start, command);
+    const AgentStep step(controller, adjustment, start, command, residual, margin);
     controller.act(&step.step);
   } else {
     controller.act();
@@ -276,11 +285,15 @@ void bind_hand_controller(nb::module_& m) {
       .def("observe", &HandController::observe, "state"_a, "period"_a,
            "First half of `update`: take the state and count the fingers in contact.")
       .def("act", &act, "due"_a, "adjustment"_a.none(), "start"_a.none(), "given"_a.none(),
+           "residual"_a = nb::none(), "margin"_a = nb::none(),
            "Second half of `update`: find forces, and return the joint torques (M,) [N m] that "
            "produce them.\n"
            "due: True if an agent's step begins, with adjustment (K,) [N] of the start. start: (N, "
            "3) [N], contact frames,\n"
-           "start of the method; given: (N, 3) [N], contact frames, forces for `Hold.direct`.")
+           "start of the method; given: (N, 3) [N], contact frames, forces for `Hold.direct`. "
+           "residual: (N, 3) [N], contact\n"
+           "frames: moves the optimal forces to the nearest balanced ones of their sum. margin: "
+           "(2,) friction [1] and preload [N].")
       .def_rw("hold", &HandController::hold, "Behaviour of the fingers in contact.")
       .def_prop_ro(
           "status", [](const HandController& c) { return HandController::STATUSES[c.status]; },

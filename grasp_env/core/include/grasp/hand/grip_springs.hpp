@@ -24,7 +24,7 @@ class GripSprings {
         whole_preload_(preload),
         whole_(forces),
         lasting_(forces) {
-    for (std::size_t i = 0; i < given_.size(); ++i) given_[i] = margin.preload[int(i)];
+    set_own_preloads(margin.preload);
     reset();
   }
 
@@ -34,6 +34,10 @@ class GripSprings {
     for (auto* points : {&forces, &whole_, &lasting_})
       std::fill(points->begin(), points->end(), Point{0.0, 0.0, 0.0});
     share_ = 1.0;
+  }
+  // Set the least preloads [N].
+  void set_own_preloads(const PerContact& least) {
+    for (std::size_t i = 0; i < given_.size(); ++i) given_[i] = least[int(i)];
   }
   // Preload of a finger [N] without what carries its spring.
   double own_preload(int i) const { return std::min(preload[i], given_[i]); }

@@ -142,6 +142,14 @@ struct StepRequest {
   Start start = Start::standard;  // of the method: by its own rule, or `Start::given`
   // (N, 3) [N], contact frames: the start for `Start::given`, or the command for `Hold::direct`
   Doubles force{};
+  // (N, 3) [N], contact frames: moves the optimal forces to the nearest of their sum that balance
+  // the wrench within the margin
+  Doubles residual{};
+  // from this update on, in place of that of the method
+  struct GripMargin {
+    double friction, preload;
+  };
+  std::optional<GripMargin> margin{};
 };
 
 }  // namespace grasp

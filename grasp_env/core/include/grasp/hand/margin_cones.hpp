@@ -7,13 +7,20 @@ namespace grasp {
 
 class MarginCones {
  public:
-  Contacts contacts;  // those of the method, with the share of friction of its margin
+  Contacts contacts;  // those of the method, with a share of their friction
 
-  // The model must outlive this object.
+  // The model must outlive this object. The share is that of the method's margin.
   MarginCones(const HandModel& model, const ForceOptimizer& method)
-      : contacts(method.contacts()), model_(model), share_(method.margin().friction) {
-    contacts.narrow(share_);
+      : contacts(method.contacts()), model_(model), whole_(contacts) {
+    narrow(method.margin().friction);
   }
+  // Set the share of friction.
+  void narrow(double share) {
+    contacts = whole_;
+    contacts.narrow(share);
+    share_ = share;
+  }
+  double share() const { return share_; }
 
   // Friction of a finger times the share of the margin, in the coordinates of `beyond`.
   double friction(int i) const { return contacts.scale[3 * i]; }
@@ -45,7 +52,8 @@ class MarginCones {
 
  private:
   const HandModel& model_;
-  double share_;
+  const Contacts whole_;
+  double share_ = 1.0;
 
   std::array<double, 3> parts(int i, const Point& force) const {
     return {dot(force, model_.axis(i, 0)), dot(force, model_.axis(i, 1)),
