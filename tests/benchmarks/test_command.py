@@ -63,7 +63,7 @@ def test_a_run_is_saved_told_and_compared(tmp_path, capsys):
     assert main([*words, "b", "--compare", str(tmp_path / "a"), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     before, now = (
-        summary(read(tmp_path / name / "rows.csv"))["microseconds_median"] for name in "ab"
+        summary(read(tmp_path / name / "rows.csv.xz"))["microseconds_median"] for name in "ab"
     )
     assert [row["microseconds_median"] for row in found["rows"]] == now.tolist()
     ratios = [row["ratio"] for row in found["compared"] if row["measure"] == "microseconds_median"]

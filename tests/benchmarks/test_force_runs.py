@@ -283,7 +283,7 @@ def test_an_entrant_of_one_file_is_run_saved_and_reported(tmp_path, capsys):
     assert main(["run", *SMALL, *entrants, "--out", str(tmp_path), "--name", "a"]) == 0
     told = capsys.readouterr().out
     assert "mine did not enter soft: hard contacts without limits" in told
-    rows = read(tmp_path / "a/rows.csv")
+    rows = read(tmp_path / "a/rows.csv.xz")
     ran = rows[rows["status"].notna() & (rows["method"] != "empty")]
     assert ran[ran["method"] == "conic_python"]["solved"].all()
     assert ran["solved"].mean() > 0.97  # SLSQP leaves a few at 2e-6

@@ -127,7 +127,9 @@ def test_a_grip_is_felt():
 @pytest.mark.parametrize(("mode", "ends"), [("contact_force", True), ("residual", False)])
 def test_episodes_end_at_a_fault_without_a_solver(mode, ends):
     """All fingers push as hard as they can."""
-    env = made(mode, limits={"max_force": 5.0, "max_slide": 1.0, "max_overlap": 1.0, "max_stray": 1e3})
+    env = made(
+        mode, limits={"max_force": 5.0, "max_slide": 1.0, "max_overlap": 1.0, "max_stray": 1e3}
+    )
     action = np.ones(env.action_space.shape or (), np.float32)
     _, reward, lost, over, info = env.step(action)
     assert env.config.limits.end_at_fault is ends

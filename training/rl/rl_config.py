@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, fields, replace
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from grasp_env.errors import InvalidInputError
 from grasp_env.inputs.arguments import choice, instance, number, whole
 from training.evaluation.results.run import check_counts
 
+Action = Literal["initial_force", "residual", "grip", "contact_force"]
+"""Action modes of agents."""
 HELD_OUT_SEED = 1_000_000
 """First seed of the episodes that score agents; the seeds of training are at least 2**30."""
 CURVE_SEED = 2_000_000
@@ -25,8 +27,8 @@ class RLConfig:
         env: JSON of the environment's settings, as keywords of `gym.make`: {"hand": "allegro",
             "shape": "sphere", "size": [0.06]}. The default is the cuboid under a random wrench,
             with the paper's start and flow.
-        action: initial_force (adjusts the solver's start; zero is the paper's) or contact_force (no
-            solver).
+        action: initial_force (adjusts the solver's start; zero is the paper's), residual (changes
+            the solver's forces), grip (sets its margin) or contact_force (no solver).
         steps: environment steps per seed, rounded up to whole updates.
         seed: seed of everything random in training.
         seeds: several seeds, with one sub-folder each; empty: `seed` alone.
@@ -40,14 +42,14 @@ class RLConfig:
         buffer: sac: transitions in the replay buffer.
         learning_rate: learning rate of Adam; 0: 1e-3 for ppo, 5e-4 for sac.
         gamma: discount; negative: 0 for initial_force, where an action affects only the iterations
-            of its own step, 0.97 for contact_force.
+            of its own step, 0.97 for the others.
         deviation: initial standard deviation of the exploration, for actions in [-1, 1]; 0: 0.1
-            (0.5 N) for initial_force, 0.3 for contact_force.
+            (0.5 N) for initial_force, 0.3 for the others.
         quick: a small version that ends within a minute; its report is marked as quick.
     """
 
     algorithm: Literal["ppo", "sac"] = "ppo"
-    action: Literal["initial_force", "contact_force"] = "initial_force"
+    action: Action = "initial_force"
     env: str = "{}"
     steps: int = 150_000
     seed: int = 0
@@ -69,7 +71,7 @@ class RLConfig:
         counts = {field.name: 1 for field in fields(RLConfig) if field.type == "int"}
         check_counts(self, counts | {"warmup": 0, "seed": 0})
         choice(self.algorithm, "algorithm", ("ppo", "sac"))
-        choice(self.action, "action", ("initial_force", "contact_force"))
+        choice(self.action, "action", get_args(Action))
         for seed in instance(self.seeds, tuple, "seeds"):
             whole(seed, "seeds", 0)
         for name in ("learning_rate", "gamma", "deviation"):

@@ -18,6 +18,7 @@ with need("sim", "train", "report"):
     from stable_baselines3.common.callbacks import BaseCallback
     from stable_baselines3.common.logger import configure
 
+    from training.evaluation.report.rl_page import claims
     from training.evaluation.results.shards import map_shards
     from training.evaluation.results.table import join, pd, table
 
@@ -211,7 +212,8 @@ def _finish(
     keys = ("algorithm", "action", "seed", "steps", "config", "env_settings", "provenance")
     agents = [{key: meta[key] for key in keys} for meta in metas]
     about = {"kind": "rl", "quick": config.quick, "config": asdict(config), "agents": agents}
-    run.save(rows, about)
+    named = claims(f"{agent['algorithm']}/{agent['action']}" for agent in agents)
+    run.save(rows, {**about, "claims": [asdict(claim) for claim in named]})
     return run
 
 

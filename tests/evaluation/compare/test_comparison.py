@@ -101,7 +101,7 @@ def test_the_command_refuses_to_overwrite(capsys):
     assert "MISSED  sometimes: cases without a start, all sets" in made.out
     assert f"report: {made.folder.path('report.html')}" in made.err
     files = {path.name for path in made.folder.folder.iterdir()}
-    assert files >= {"rows.csv", "summary.csv", "run.json", "report.html", "plan.json"}
+    assert files >= {"rows.csv.xz", "summary.csv", "run.json", "report.html", "plan.json"}
     assert main(made.words) == 2
     assert "holds a finished run" in capsys.readouterr().err
 

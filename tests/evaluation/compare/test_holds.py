@@ -224,4 +224,4 @@ def test_quick_runs_from_the_command_line(words, tmp_path, capsys):
     assert main(["evaluate", *words, "--quick", "--out", str(tmp_path), "--name", "q"]) == 0
     assert capsys.readouterr().out.startswith("QUICK RUN")
     assert "Quick run." in (tmp_path / "q" / "report.html").read_text()
-    assert os.path.getsize(tmp_path / "q" / "rows.csv") > 1000
+    assert os.path.getsize(tmp_path / "q" / "rows.csv.xz") > 1000

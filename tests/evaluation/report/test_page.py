@@ -144,7 +144,7 @@ def test_any_table_gets_a_page(tmp_path):
         {"kind": "something"},
     )
     assert "<td>3</td><td>4</td>" in write(folder)[0].read_text()  # median and maximum
-    folder.path("rows.csv").write_bytes(b"no table")
+    folder.path("rows.csv.xz").write_bytes(b"no table")
     with pytest.raises(InvalidInputError, match="is not a table of results"):
         write(folder)
 

@@ -14,7 +14,7 @@ from scipy.stats import trim_mean
 from grasp_env.errors import InvalidInputError
 from training.evaluation.results.claims import Claim, judge, lines
 from training.evaluation.results.columns import COLUMNS
-from training.evaluation.results.run import Run, check_counts
+from training.evaluation.results.run import ROWS, Run, check_counts
 from training.evaluation.results.statistics import iqm, ratio_interval
 from training.evaluation.results.table import (
     STATISTICS,
@@ -95,8 +95,10 @@ def test_a_finished_run_records_how_it_was_made(tmp_path):
     ):
         with pytest.raises(InvalidInputError, match=message):
             call()
-    run.path("rows.csv").write_text("case,drift\n")
-    with pytest.raises(InvalidInputError, match=r"rows\.csv has 0 of 1 rows: copy the run again"):
+    write(run.path(ROWS), table([{"case": "ball", "drift": 0.5}]).iloc[:0])
+    with pytest.raises(
+        InvalidInputError, match=r"rows\.csv\.xz has 0 of 1 rows: copy the run again"
+    ):
         run.load()
 
 
@@ -157,7 +159,7 @@ def test_damaged_tables_are_refused(tmp_path, monkeypatch):
         plain.write_text(text)
         with pytest.raises(
             InvalidInputError,
-            match=f"is not a table of results: .*{message}.*; give a run's rows.csv",
+            match=f"is not a table of results: .*{message}.*; give a run's rows.csv.xz",
         ):
             read(plain)
     monkeypatch.setattr("training.evaluation.results.table.WEIGHTS", 1000)

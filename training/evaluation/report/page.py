@@ -16,7 +16,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from training.evaluation.results.claims import VERDICTS, Claim, Verdict, judge
-from training.evaluation.results.run import Run, understood
+from training.evaluation.results.run import ROWS, Run, understood
 from training.evaluation.results.table import Rows, described, pd, summary, write_summary
 from training.evaluation.results.words import number, small
 
@@ -95,7 +95,7 @@ def write(run: Run) -> tuple[Path, list[Verdict]]:
             facts=facts_of(about),
             load=(
                 "import pandas",
-                'rows = pandas.read_csv("rows.csv")  # run.json documents the columns',
+                f'rows = pandas.read_csv("{ROWS}")  # run.json documents the columns',
                 f"rows.groupby({keys}).{value}.describe()",
             ),
         )
@@ -218,7 +218,7 @@ def svg(figure: Figure) -> str:
 
 
 _INTRO = (
-    "This page shows the results of one command; every number comes from the table rows.csv beside it. Rows with equal keys are "
+    "This page shows the results of one command; every number comes from the table rows.csv.xz beside it. Rows with equal keys are "
     "repetitions of one experiment, and the table below summarises them. The columns are defined at the end of this page."
 )
 _SUMMARY_TABLE: tuple[str, str, Make] = (

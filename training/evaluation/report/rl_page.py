@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from matplotlib.figure import Figure
 from training.evaluation.report.page import axes
 from training.evaluation.results.claims import Claim
 from training.evaluation.results.statistics import iqm, iqm_interval, ratio_interval
-from training.evaluation.results.table import pd
+from training.evaluation.results.table import pd, summary
 from training.evaluation.results.words import number
 
 AGENTS = {
@@ -20,6 +21,10 @@ AGENTS = {
     "previous": ("previous solution", "#8a8a8a"),
     "ppo/initial_force": ("PPO, adjusts the start", "#b3261e"),
     "sac/initial_force": ("SAC, adjusts the start", "#1f5fa8"),
+    "ppo/residual": ("PPO, changes the forces", "#d2691e"),
+    "sac/residual": ("SAC, changes the forces", "#2a8c82"),
+    "ppo/grip": ("PPO, sets the grip", "#a3246e"),
+    "sac/grip": ("SAC, sets the grip", "#3d6b21"),
     "ppo/contact_force": ("PPO, contact forces, no solver", "#c08a3e"),
     "sac/contact_force": ("SAC, contact forces, no solver", "#7a4fa3"),
 }
@@ -33,26 +38,19 @@ INTRO = (
     "actions. The columns are defined at the end of this page."
 )
 _PAPER = "case == 'held_out' and agent == 'zero'"
-CLAIMS = tuple(
-    claim
-    for name in ("ppo/initial_force", "sac/initial_force")
-    for query in (f"case == 'held_out' and agent == '{name}'",)
-    for claim in (
-        Claim.of(
-            f"{AGENTS[name][0]}: fewer iterations than the paper's start",
-            query,
-            "mean_iterations_median < 1",
-            _PAPER,
-        ),
-        Claim.of(
-            f"{AGENTS[name][0]}: holds no less than the paper's start",
-            query,
-            "held_mean >= 0",
-            _PAPER,
-            difference=True,
-        ),
-    )
-)
+
+
+def claims(agents: Iterable[str]) -> list[Claim]:
+    """Return the claims about agents of these names, to be saved with their run."""
+    out = []
+    for name in dict.fromkeys(agents):
+        label, query = AGENTS[name][0], f"case == 'held_out' and agent == '{name}'"
+        if name.endswith("/initial_force"):
+            few = f"{label}: fewer iterations than the paper's start"
+            out.append(Claim.of(few, query, "mean_iterations_median < 1", _PAPER))
+        as_many = f"{label}: holds no less than the paper's start"
+        out.append(Claim.of(as_many, query, "held_mean >= 0", _PAPER, difference=True))
+    return out
 
 
 def _environments(rows: pd.DataFrame) -> list[str]:
@@ -120,6 +118,13 @@ def scores_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
             returns = ends.pivot_table("return", "training_seed", "seed").to_numpy(float)
             out.append(cells | {"return": _interval(iqm(returns), *iqm_interval(returns))})
     return pd.DataFrame(out)
+
+
+def scores_text(rows: pd.DataFrame) -> str:
+    """Return the scores of every policy as text, for a terminal."""
+    scores = scores_table(rows, summary(rows))
+    shown = ["environment", "policy", "held", "squeeze [N]", "return"]
+    return scores[shown].to_string(index=False)
 
 
 def training_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:

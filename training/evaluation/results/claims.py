@@ -1,7 +1,8 @@
 """Claims as data: a name, a query on the summary of a run, a comparison and a bound.
 
-The claims of each kind of run are the lists `CLAIMS` in `starts_page`, `holds_page`, `rl_page` and
-`reproduce_page` of `training.evaluation.report`; benchmarks save theirs with the run.
+The claims of each kind of run are the lists `CLAIMS` in `starts_page`, `holds_page` and
+`reproduce_page` of `training.evaluation.report`; benchmarks and `grasp rl` save theirs with the
+run.
 """
 
 from __future__ import annotations

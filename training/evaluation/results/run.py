@@ -24,6 +24,8 @@ from grasp_env.inputs.files import file_fault, read_json, replacing
 if TYPE_CHECKING:
     from training.evaluation.results.table import pd
 
+ROWS = "rows.csv.xz"
+"""Table of a run; pandas reads it as it is, and `xz -dk` unpacks it."""
 MAX_COUNT = 1_000_000_000
 """Largest count in a setting."""
 _PACKAGES = [
@@ -117,14 +119,14 @@ class Run:
         return read_json(self.path(name), InvalidInputError, "the run's file")
 
     def save(self, rows: pd.DataFrame, about: dict[str, Any]) -> None:
-        """Write rows.csv, then run.json, which marks the run as finished; remove the shards.
+        """Write `ROWS`, then run.json, which marks the run as finished; remove the shards.
 
         To `about`, its kind and settings, machine, versions, commit and the meaning of the columns
         are added.
         """
         from training.evaluation.results import table  # importing this module needs no pandas
 
-        table.write(self.path("rows.csv"), rows)
+        table.write(self.path(ROWS), rows)
         facts = {"rows": len(rows), "columns": table.described(rows.columns)}
         self.write_json("run.json", {**about, **provenance(), **facts})
         shutil.rmtree(self.shards, ignore_errors=True)
@@ -137,7 +139,7 @@ class Run:
         """
         from training.evaluation.results import table
 
-        path = self.path("rows.csv")
+        path = self.path(ROWS)
         rows = table.read(path)
         about = self.read_json("run.json")
         if len(rows) != (saved := about.get("rows", len(rows))):

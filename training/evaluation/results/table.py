@@ -98,8 +98,10 @@ def write(path: Path, rows: pd.DataFrame, number: str | None = None) -> None:
     Missing values and empty texts are empty. `number` is the format of real numbers; None: digits
     that restore the same number.
     """
+    # the preset is ten times as fast as the usual one, for files half as large again
+    packed: Any = {"method": "xz", "preset": 1} if path.suffix == ".xz" else None
     with replacing(path) as temporary:
-        rows.to_csv(temporary, index=False, float_format=number)
+        rows.to_csv(temporary, index=False, float_format=number, compression=packed)
 
 
 def write_summary(path: Path, means: pd.DataFrame) -> None:
@@ -135,7 +137,7 @@ def read(path: Path) -> pd.DataFrame:
     words = {
         "name": f"the table {path}",
         "form": "a table of results",
-        "hint": "; give a run's rows.csv",
+        "hint": "; give a run's rows.csv.xz",
     }
     return parsed(path, read=columns, error=InvalidInputError, most=WEIGHTS, **words)
 

@@ -16,7 +16,7 @@ class RL(RLConfig):
     The agent is compared with the paper's start, and a report is written.
 
     Attributes:
-        out: folder of the run: seed-<seed>/ with checkpoints and TensorBoard events, rows.csv,
+        out: folder of the run: seed-<seed>/ with checkpoints and TensorBoard events, rows.csv.xz,
             run.json, report.html.
         resume: continue from the last complete checkpoint of each seed, with the same options. A
             larger --steps continues a finished run.
@@ -36,10 +36,13 @@ class RL(RLConfig):
         config = RLConfig(**{name: getattr(self, name) for name in RLConfig.__dataclass_fields__})
         need("sim", "train", "report")
         from training.evaluation.report.page import write
+        from training.evaluation.report.rl_page import scores_text
         from training.rl.train import compare, train
 
         if self.compare:
             run = compare(self.compare, self.out, config, self.on)
         else:
             run = train(config, self.out, self.resume, self.on)
-        print(write(run)[0])
+        page = write(run)[0]
+        print(scores_text(run.load()[0]))
+        print(page)
