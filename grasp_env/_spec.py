@@ -1,4 +1,4 @@
-"""The environment's entry in Gymnasium's registry, and the specification of an environment."""
+"""The environments' entries in Gymnasium's registry, and the specification of an environment."""
 
 from __future__ import annotations
 
@@ -7,6 +7,12 @@ from dataclasses import replace
 from gymnasium.envs.registration import EnvSpec, WrapperSpec, registry
 
 ENV_ID = "FourFingerGrasp-v0"
+IDS = {
+    ENV_ID: ("FourFingerGrasp", None),
+    "UncertainGrasp-v0": ("UncertainGrasp", 200),
+    "FragileGrasp-v0": ("FragileGrasp", 200),
+}
+"""Class and number of steps of every environment; None: as long as its task."""
 FINISH = WrapperSpec("finish", "grasp_env.env.env:finish", {})
 """The wrapper that `gym.make` applies last."""
 
@@ -30,8 +36,12 @@ class GraspSpec(EnvSpec):
 
 
 def register() -> None:
-    """Enter the environment in Gymnasium's registry, unless it is there already."""
-    if ENV_ID not in registry:
-        registry[ENV_ID] = GraspSpec(
-            ENV_ID, "grasp_env.env:FourFingerGrasp", additional_wrappers=(FINISH,)
-        )
+    """Enter the environments in Gymnasium's registry, unless they are there already."""
+    for name, (made, steps) in IDS.items():
+        if name not in registry:
+            registry[name] = GraspSpec(
+                name,
+                f"grasp_env.env:{made}",
+                max_episode_steps=steps,
+                additional_wrappers=(FINISH,),
+            )

@@ -16,7 +16,7 @@ with need("sim"):
     from gymnasium.envs.registration import EnvSpec
     from gymnasium.utils import EzPickle
 
-    from grasp_env._spec import ENV_ID, FINISH, GraspSpec
+    from grasp_env._spec import ENV_ID, FINISH, IDS, GraspSpec
 
 from grasp_env.config import EnvConfig
 from grasp_env.config.env import as_config, keywords_to_json
@@ -237,6 +237,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     Attributes:
         config: the settings, resolved.
         episode: the settings of the current episode, including drawn ones.
+        step_limit: number of steps after which episodes are truncated.
 
     Raises:
         UnknownNameError, UnknownSettingError: see `EnvConfig.override`.
@@ -293,7 +294,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         self._max_drift = limits.max_drift
         self._max_tilt = limits.max_tilt
         self._max_force = math.inf if limits.max_force is None else limits.max_force
-        self._step_limit = max(1, round(limits.duration * config.agent.rate))
+        self.step_limit = max(1, round(limits.duration * config.agent.rate))
         self._camera: Camera | None = None
         self._window: Painter | None = None
         self._started = self._ended = self._warned = False
@@ -302,7 +303,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         self._broken = False
 
     def __repr__(self) -> str:
-        return f"FourFingerGrasp({self.config.task.name}, {name_of(self.config.disturbance)}, {self._loop!r})"
+        return f"{type(self).__name__}({self.config.task.name}, {name_of(self.config.disturbance)}, {self._loop!r})"
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -399,7 +400,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         costs = loop.costs() if held else NO_COSTS
         breaks = self._broken and not was_broken
         terms = self.config.reward.terms(held, iterations, costs, breaks)
-        truncated = not self._failure and self._tick >= self._step_limit * self._ticks_per_step
+        truncated = not self._failure and self._tick >= self.step_limit * self._ticks_per_step
         self._ended = bool(self._failure) or truncated
         info = self._info(scene, terms)
         if self.render_mode == "human":
@@ -461,16 +462,16 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     def _kept(self, spec: EnvSpec) -> GraspSpec:
         fitting = {item.name: getattr(spec, item.name) for item in fields(spec) if item.init}
         fitting["kwargs"], _ = keywords_to_json(spec.kwargs)
-        return GraspSpec(**{**fitting, "max_episode_steps": self._step_limit})
+        return GraspSpec(**{**fitting, "max_episode_steps": self.step_limit})
 
     def truncate_after(self, steps: int) -> None:
         """Truncate episodes after `steps` agent steps, from the next reset on."""
-        if steps == self._step_limit:
+        if steps == self.step_limit:
             return
         duration = whole(steps, "max_episode_steps", 1) / self.config.agent.rate
         stage = self._stage_or_raise()
         stage.config = stage.episode = self.config = self.config.override(duration=duration)
-        self._step_limit = steps
+        self.step_limit = steps
         if self._spec is not None:
             kwargs = {**self._spec.kwargs, "duration": duration}
             self._spec = self._kept(replace(self._spec, kwargs=kwargs))
@@ -679,10 +680,14 @@ def finish(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
             f"an agent's actions change nothing: {reason}. Leave the method at 'reduced_flow' for an agent that adjusts its start, "
             "give it the forces with action_mode='contact_force', or say action_mode='none'"
         )
+    registered = IDS[inner.spec.id][1] if inner.spec is not None else None
     while isinstance(layer, gym.Wrapper):
         if isinstance(layer, gym.wrappers.TimeLimit):
             # `layer.spec` has it, too, but keeps the old settings
-            inner.truncate_after(layer._max_episode_steps)
+            if layer._max_episode_steps == registered:  # a given `duration` counts for more
+                layer._max_episode_steps = inner.step_limit
+            else:
+                inner.truncate_after(layer._max_episode_steps)
         layer = layer.env
     if inner.spec is not None:  # `gym.make` of this specification completes the environment, too
         inner.spec = replace(inner.spec, additional_wrappers=(FINISH,))
