@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import Any, ClassVar
 
 from grasp_env.config import EnvConfig
-from grasp_env.config.env import as_config
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.sim.engine import engine_of
 
@@ -34,10 +33,13 @@ class _Named(FourFingerGrasp):
         config: EnvConfig | dict[str, Any] | str | None = None,
         **settings: Any,
     ) -> None:
-        if config is None:
-            engine = replace(engine_of(quiet=True), rate=_RATE)
-            config = EnvConfig().override(engine=engine, **self.problem)
-        super().__init__(render_mode, as_config(config), **settings)
+        super().__init__(render_mode, self.settings() if config is None else config, **settings)
+
+    @classmethod
+    def settings(cls) -> EnvConfig:
+        """Return the settings of the problem."""
+        engine = replace(engine_of(quiet=True), rate=_RATE)
+        return EnvConfig().override(engine=engine, **cls.problem)
 
 
 class UncertainGrasp(_Named):
@@ -139,3 +141,7 @@ class FragileGrasp(_Named):
         "motors": {"noise": 0.05},
         "limits": {"max_force": 8.0, "end_at_fault": True},
     }
+
+
+PROBLEMS = {kind.__name__: kind for kind in (UncertainGrasp, FragileGrasp)}
+"""The classes by their names."""

@@ -30,6 +30,7 @@ from training.evaluation.results.statistics import iqm
 from training.evaluation.results.table import pd, summary
 from training.program.cli import main
 from training.rl.agent import build, first_seed, make_envs
+from training.rl.baselines import GRIPS
 from training.rl.checkpoint import Training
 from training.rl.rl_config import CURVE_SEED, HELD_OUT_SEED, RLConfig
 from training.rl.score import outcome, score
@@ -360,3 +361,22 @@ def test_baselines_solve_and_rewards_are_whole():
     envs.close()
     assert rewards.min() > 0.0  # not centred and above 10: a clip would make them equal
     assert len(np.unique(rewards)) == rewards.size
+
+
+def test_agents_of_a_named_environment_stand_beside_fixed_grips(tmp_path, capsys):
+    few = {**TINY, "env": "UncertainGrasp", "steps": 32, "rollout": 16, "episodes": 1}
+    run = train(RLConfig(**few), tmp_path / "grip", on="inline")
+    rows, about = run.load()
+    held_out = rows[rows["case"] == "held_out"]
+    assert about["agents"][0]["action"] == "grip"
+    assert {*held_out["agent"]} == {"ppo/grip", *GRIPS}
+    ends = held_out[held_out["held"].notna()].set_index("agent")
+    force = ends["commanded_force"]
+    assert force["margin 0.3"] > force["margin 0.5"] > force["margin 0.85"]
+    assert force["squeeze 60 N"] == pytest.approx(60.0, abs=1.0)
+    # the margin of the settings
+    assert force["zero"] == force["margin 0.6"]
+    assert not {"ppo/initial_force", "sac/grip"} & {*rows["agent"]}
+    text = page.scores_text(rows)
+    assert "PPO, sets the grip" in text
+    assert "margin 0.85" in text

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, fields, replace
-from typing import Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal
 
 from grasp_env.errors import InvalidInputError
 from grasp_env.inputs.arguments import choice, instance, number, whole
 from training.evaluation.results.run import check_counts
 
-Action = Literal["initial_force", "residual", "grip", "contact_force"]
+if TYPE_CHECKING:
+    from grasp_env.config import EnvConfig
+
+ACTIONS = ("initial_force", "residual", "grip", "contact_force")
 """Action modes of agents."""
 HELD_OUT_SEED = 1_000_000
 """First seed of the episodes that score agents; the seeds of training are at least 2**30."""
@@ -24,10 +27,10 @@ class RLConfig:
 
     Attributes:
         algorithm: ppo or sac of stable-baselines3.
-        env: JSON of the environment's settings, as keywords of `gym.make`: {"hand": "allegro",
-            "shape": "sphere", "size": [0.06]}. The default is the cuboid under a random wrench,
-            with the paper's start and flow.
-        action: initial_force (adjusts the solver's start; zero is the paper's), residual (changes
+        env: an environment by name, UncertainGrasp or FragileGrasp, or JSON of settings, as
+            keywords of `gym.make`: {"hand": "allegro", "shape": "sphere", "size": [0.06]}. The
+            default is the cuboid under a random wrench, with the paper's start and flow.
+        action: empty: that of the environment. Else initial_force (adjusts the solver's start; zero is the paper's), residual (changes
             the solver's forces), grip (sets its margin) or contact_force (no solver).
         steps: environment steps per seed, rounded up to whole updates.
         seed: seed of everything random in training.
@@ -49,7 +52,7 @@ class RLConfig:
     """
 
     algorithm: Literal["ppo", "sac"] = "ppo"
-    action: Action = "initial_force"
+    action: Literal["", "initial_force", "residual", "grip", "contact_force"] = ""
     env: str = "{}"
     steps: int = 150_000
     seed: int = 0
@@ -71,7 +74,7 @@ class RLConfig:
         counts = {field.name: 1 for field in fields(RLConfig) if field.type == "int"}
         check_counts(self, counts | {"warmup": 0, "seed": 0})
         choice(self.algorithm, "algorithm", ("ppo", "sac"))
-        choice(self.action, "action", get_args(Action))
+        choice(self.action, "action", ("", *ACTIONS))
         for seed in instance(self.seeds, tuple, "seeds"):
             whole(seed, "seeds", 0)
         for name in ("learning_rate", "gamma", "deviation"):
@@ -87,9 +90,11 @@ class RLConfig:
 
     def resolved(self) -> RLConfig:
         """Return the settings with every default filled in, and smaller counts if `quick`."""
-        force = self.action == "initial_force"
+        action = self.action or self._environment().agent.action_mode
+        force = action == "initial_force"
         full = replace(
             self,
+            action=action,
             seeds=tuple(self.seeds) or (self.seed,),
             learning_rate=self.learning_rate or {"ppo": 1e-3, "sac": 5e-4}[self.algorithm],
             gamma=self.gamma if self.gamma >= 0.0 else (0.0 if force else 0.97),
@@ -111,22 +116,29 @@ class RLConfig:
         """Settings of the environment, as from `EnvConfig.to_dict`.
 
         Raises:
-            InvalidInputError: `env` is not JSON, or holds invalid settings.
+            InvalidInputError: `env` is no name and not JSON, or holds invalid settings.
         """
-        from grasp_env.config import EnvConfig  # needs the extra sim
+        given = {"action_mode": self.action} if self.action else {}
+        return self._environment().override(**given).to_dict()
 
+    def _environment(self) -> EnvConfig:
+        """Return the settings of the environment with the action mode of its own."""
+        from grasp_env.config import EnvConfig  # needs the extra sim
+        from grasp_env.env.named import PROBLEMS
+
+        if (name := self.env.removesuffix("-v0")) in PROBLEMS:
+            return PROBLEMS[name].settings()
         try:
             settings = json.loads(self.env)
         except ValueError as error:
             raise InvalidInputError(
-                f'env is not JSON ({error}); give settings as {{"shape": "sphere"}}'
+                f'env is not JSON ({error}); give settings as {{"shape": "sphere"}}, or one of {", ".join(PROBLEMS)}'
             ) from None
         if "action_mode" in instance(settings, dict, "env"):
             raise InvalidInputError(
-                f"env has action_mode {settings['action_mode']!r}: leave it out, action={self.action!r} sets it"
+                f"env has action_mode {settings['action_mode']!r}: leave it out, action sets it"
             )
-        settings = {"disturbance": "random", **settings, "action_mode": self.action}
-        return EnvConfig().override(**settings).to_dict()
+        return EnvConfig().override(**{"disturbance": "random", **settings})
 
     @property
     def sizes(self) -> dict[str, int]:
@@ -135,11 +147,13 @@ class RLConfig:
         from grasp_env.env.actions import MODES
         from grasp_env.env.observation import bounds
 
-        hand = as_config(self.env_settings).hand_description
-        fingers, joints = hand.finger_count, hand.joint_count
+        config = as_config(self.env_settings)
+        mode = config.agent.action_mode
+        fingers = config.hand_description.finger_count
+        joints = config.hand_description.joint_count
         return {
             "fingers": fingers,
             "joints": joints,
-            "observation_size": len(bounds(fingers, joints, self.action)),
-            "action_size": MODES[self.action].size(fingers),
+            "observation_size": len(bounds(fingers, joints, mode)),
+            "action_size": MODES[mode].size(fingers),
         }

@@ -8,29 +8,21 @@ import gymnasium as gym
 
 from grasp_env.config import EnvConfig
 from grasp_env.config.env import as_config
-from grasp_env.force.initial import InitialForceRule
 from policies.agent_files import ENV_ID
 from policies.controllers import Policy
 from training.data.episodes import EpisodeStep, episode
 
 
 def score(
-    policy: Policy,
-    settings: EnvConfig | dict[str, Any],
-    seeds: range,
-    initial_force: str | InitialForceRule | None = None,
+    policy: Policy, settings: EnvConfig | dict[str, Any], seeds: range
 ) -> list[dict[str, Any]]:
     """Play the episodes of some seeds with deterministic actions and return their rows.
-
-    `initial_force` replaces the start rule of the settings.
 
     Returns:
         A row for each step with "seed", "step", "reward" and, if a solver runs, "iterations". The
         last row of an episode also has the columns of `outcome`.
     """
     config = as_config(settings)
-    if initial_force is not None:
-        config = config.override(initial_force=initial_force)
     solver = config.agent.action_mode != "contact_force"
     env = gym.make(f"grasp_env:{ENV_ID}", config=config)
     rows: list[dict[str, Any]] = []

@@ -23,19 +23,18 @@ with need("sim", "train", "report"):
     from training.evaluation.results.table import join, pd, table
 
 from grasp_env.errors import InvalidInputError, ModelFileError
-from policies import LearnedInitialForce, TrainedAgent, ZeroPolicy
+from policies import TrainedAgent
 from policies.agent_files import checkpoints, find_checkpoint, read_meta
 from training.evaluation.results import Run, understood
 from training.evaluation.results.bars import progress
 from training.evaluation.results.interrupts import interruptible
 from training.rl.agent import build, first_seed, make_envs
+from training.rl.baselines import baselines
 from training.rl.checkpoint import FOLDER, Training, check_settings, check_space
 from training.rl.rl_config import CURVE_SEED, HELD_OUT_SEED, RLConfig
 from training.rl.score import score
 from training.rl.speed import speeds
 
-BASELINES = ("zero", "learned", "previous")
-"""Policies to compare with: the paper's start, the shipped model, the previous solution."""
 STOP = ".stop"
 """File in a run's folder that makes trainings save and end; workers ignore interrupts."""
 
@@ -67,7 +66,6 @@ def rows_of(shard: Shard, bar: Progress | None = None) -> pd.DataFrame:
             resume = bool(checkpoints(folder / FOLDER))
             train_seed(config, folder, shard.seed, resume, bar, folder.parent / STOP)
         policy = TrainedAgent.load(folder)
-        rule = None
         meta = policy.meta
         settings = meta["env_settings"]
         keys["training_seed"] = meta["seed"]
@@ -78,16 +76,11 @@ def rows_of(shard: Shard, bar: Progress | None = None) -> pd.DataFrame:
         }
         extra = [{"case": "curve", **row} for row in meta["curve"]] + [{"case": "training", **cost}]
     else:
-        config = replace(config, action="initial_force")
-        policy = ZeroPolicy(config.sizes["action_size"])
-        settings = config.env_settings
-        rule = "previous" if name == "previous" else None
-        if name == "learned":
-            rule = LearnedInitialForce.pretrained()
+        policy, settings = baselines(config)[name].made(config)
         if name == "zero":
             curve = score(policy, settings, range(CURVE_SEED, CURVE_SEED + config.curve_episodes))
             extra = [{"case": "curve", **row} for row in curve if "return" in row]
-    scores = score(policy, settings, range(HELD_OUT_SEED, HELD_OUT_SEED + config.episodes), rule)
+    scores = score(policy, settings, range(HELD_OUT_SEED, HELD_OUT_SEED + config.episodes))
     return table({**keys, **row} for row in [{"case": "held_out", **row} for row in scores] + extra)
 
 
@@ -186,13 +179,12 @@ def _finish(
     speed_rows: Sequence[dict[str, Any]] = (),
 ) -> Run:
     """Train and score agents, score the baselines in the same environments, and save the run."""
-    configs = {shard.config.env: shard.config for shard in shards.values()}
-    baselines = {
-        f"{name} {env}": Shard(name, config)
-        for env, config in configs.items()
-        for name in BASELINES
+    others = {
+        f"{name} {shard.config.env}": Shard(name, shard.config)
+        for shard in shards.values()
+        for name in baselines(shard.config)
     }
-    jobs = shards | baselines
+    jobs = shards | others
     stop = run.path(STOP)
     stop.unlink(missing_ok=True)
     if on == "inline":

@@ -60,17 +60,27 @@ def _environments(rows: pd.DataFrame) -> list[str]:
 def _by_agent(rows: pd.DataFrame, case: str, environment: str) -> dict[str, Any]:
     """Return the rows of every agent in one environment, in the order of `AGENTS`."""
     here: Any = rows[(rows["case"] == case) & (rows["environment"] == environment)]
-    groups = {agent: here[here["agent"] == agent] for agent in AGENTS}
-    return {agent: group for agent, group in groups.items() if len(group)}
+    found = here["agent"].dropna().unique().tolist()
+    order = [*(agent for agent in AGENTS if agent in found), *(a for a in found if a not in AGENTS)]
+    return {agent: here[here["agent"] == agent] for agent in order}
+
+
+def label_of(agent: str) -> str:
+    """Return an agent's or a baseline's name in words."""
+    return AGENTS.get(agent, (agent,))[0]
 
 
 def place(environment: str) -> str:
     """Return an environment's settings in a few words; the default is a cuboid.
 
     Example:
+        >>> place("UncertainGrasp")
+        'UncertainGrasp'
         >>> place('{"shape": "sphere", "hand": {"name": "allegro"}}'), place('{"hand": "leap"}'), place("{}")
         ('sphere, allegro', 'cuboid, leap', 'cuboid')
     """
+    if not environment.startswith("{"):
+        return environment
     settings = json.loads(environment)
     shape = settings.get("shape") or settings.get("object", {}).get("shape", "cuboid")
     hand = settings.get("hand", "")
@@ -95,12 +105,12 @@ def scores_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
             ends = last[agent]
             cells = {
                 "environment": place(environment),
-                "policy": AGENTS[agent][0],
+                "policy": label_of(agent),
                 "training seeds": ends["training_seed"].nunique() or None,
             }
             rates = (f"{number(100.0 * row[f'held_rate_{end}'])} %" for end in ("low", "high"))
             cells["held"] = f"{row['held_sum']:.0f} of {len(ends)} [{', '.join(rates)}]"
-            if iterations[agent].notna().all():  # a solver runs
+            if iterations[agent].notna().all() and "zero" in iterations:  # a solver runs
                 counts = (number(row[f"iterations_{name}"]) for name in ("median", "p95", "p99"))
                 pairs = (iterations[name].to_numpy(float) for name in (agent, "zero"))
                 cells |= {
@@ -138,7 +148,7 @@ def training_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
                 speed = row["training_steps"] / max(row["cpu_seconds"], 1e-9)
                 cells = {
                     "environment": place(environment),
-                    "agent": AGENTS[agent][0],
+                    "agent": label_of(agent),
                     "seed": row["training_seed"],
                     "environment steps": row["training_steps"],
                     "seconds": row["seconds"],
