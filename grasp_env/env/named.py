@@ -17,7 +17,8 @@ _IMPERFECT: dict[str, Any] = {
     "action_mode": "grip",
     "sensors": {"wrench": "estimated", "delay": 0.01, "joint_delay": 0.002},
     "controller": {"rate": _RATE, "friction_margin": 0.6, "preload": 0.5},
-    "reward": {"iterations": 0.0, "force": 0.6},
+    # the cost of a fault exceeds what a light grip saves in an episode
+    "reward": {"iterations": 0.0, "force": 0.6, "fault_cost": 50.0},
 }
 """A hand with the sensors of a real one, whose grip an agent sets."""
 
@@ -62,7 +63,7 @@ class UncertainGrasp(_Named):
     ## Rewards
     A step after which the object is held pays 1 less the costs: 0.6 times the share of the force
     above the least at the true friction, 0.1 times the torque and 0.1 times the change of force. The
-    first fault that lasts costs 10, and no step pays after it.
+    first fault that lasts costs 50, and no step pays after it.
 
     ## Starting state
     The hand holds the object at rest, without errors. Errors begin with the episode.
