@@ -173,6 +173,12 @@ class Contacts:
         Write the part of a wrench (6,) that forces of these contacts can make into `to` (6,).
         """
 
+    def nearest(self, wrench: object, preload: object, force: object, torsion: object) -> int:
+        """
+        Replace forces (N, 3) [N], contact frames, and torsions (N,) [N m] by the nearest ones in the cones that balance
+        a wrench (6,), with preloads (N,) [N]. Return the number of iterations; -1: none were found, nothing is changed.
+        """
+
     @property
     def rank(self) -> int:
         """Rank of G, torsion included."""
@@ -721,7 +727,15 @@ class Scene:
     """A hand and an object in a simulator, as last read."""
 
     @staticmethod
-    def make(tree: Tree, surface: Surface, gravity: Sequence[float]) -> Scene: ...
+    def make(tree: Tree, surface: Surface, gravity: Sequence[float], mass: float) -> Scene:
+        """gravity: (3,) [m/s^2], world frame. mass: of the object [kg]."""
+
+    @property
+    def mass(self) -> float:
+        """Mass of the object [kg]."""
+
+    @mass.setter
+    def mass(self, arg: float, /) -> None: ...
 
     def set_gravity(self, gravity: Sequence[float]) -> None:
         """Set the gravity (3,) [m/s^2], world frame."""
@@ -1149,11 +1163,12 @@ class HandController:
         First half of `update`: take the state and count the fingers in contact.
         """
 
-    def act(self, due: bool, adjustment: object | None, start: object | None, given: object | None) -> list[float]:
+    def act(self, due: bool, adjustment: object | None, start: object | None, given: object | None, residual: object | None = None, margin: object | None = None) -> list[float]:
         """
         Second half of `update`: find forces, and return the joint torques (M,) [N m] that produce them.
         due: True if an agent's step begins, with adjustment (K,) [N] of the start. start: (N, 3) [N], contact frames,
-        start of the method; given: (N, 3) [N], contact frames, forces for `Hold.direct`.
+        start of the method; given: (N, 3) [N], contact frames, forces for `Hold.direct`. residual: (N, 3) [N], contact
+        frames: moves the optimal forces to the nearest balanced ones of their sum. margin: (2,) friction [1] and preload [N].
         """
 
     @property
@@ -1349,6 +1364,15 @@ class Outcome:
     def stray(self) -> float: ...
 
     @property
+    def imbalance(self) -> float: ...
+
+    @property
+    def speed(self) -> float: ...
+
+    @property
+    def force(self) -> float: ...
+
+    @property
     def slide(self) -> float: ...
 
     @property
@@ -1363,9 +1387,10 @@ class SimulatedHand:
     """
 
     @staticmethod
-    def make(scene: Scene, controller: HandController, optimizer: object, body: Body, sensors: SensorSettings) -> SimulatedHand:
+    def make(scene: Scene, controller: HandController, optimizer: object, friction: float, body: Body, sensors: SensorSettings) -> SimulatedHand:
         """
-        controller: configured. optimizer: the `ForceOptimizer` of the contacts of all fingers.
+        controller: configured. optimizer: the `ForceOptimizer` of the contacts of all fingers. friction: the true one, over
+        that of the optimizer.
         """
 
     def reset(self) -> None:
