@@ -133,16 +133,19 @@ def rates_figure(rows: Rows, means: Rows) -> Figure | None:
     held, across, down = arranged(means)
     if held.empty:
         return None
-    table = held.pivot(index=down, columns=across, values="held_mean").reindex(
-        columns=held[across].unique()
+    table, low, high = (
+        held.pivot(index=down, columns=across, values=name).reindex(columns=held[across].unique())
+        for name in ("held_mean", "held_rate_low", "held_rate_high")
     )
-    figure, panel = axes(1.3 + 0.3 * len(table))
+    figure, panel = axes(1.3 + 0.42 * len(table))
     panel.grid(visible=False)
     rates = table.to_numpy(np.float64)
     panel.imshow(rates, cmap="RdYlGn", vmin=0.0, vmax=1.0, aspect="auto", alpha=0.75)
     for (row, column), rate in np.ndenumerate(rates):
         if np.isfinite(rate):
-            panel.text(column, row, f"{100 * rate:.0f}", ha="center", va="center", fontsize=8)
+            ends = (f"{100 * end.iloc[row, column]:.0f}" for end in (low, high))
+            text = f"{100 * rate:.0f}\n{' to '.join(ends)}"
+            panel.text(column, row, text, ha="center", va="center", fontsize=8, linespacing=0.95)
     names = [", ".join(name) if isinstance(name, tuple) else name for name in table.index]
     names = [name.removeprefix("hold_").replace("_", " ") for name in names]
     columns = list(table.columns)
@@ -154,7 +157,7 @@ def rates_figure(rows: Rows, means: Rows) -> Figure | None:
 FIGURES = (
     (
         "Hold rates",
-        "Per cent of the episodes that were held.",
+        "Per cent of the episodes that were held, with its 95 % interval (Wilson).",
         rates_figure,
     ),
 )

@@ -195,6 +195,16 @@ def axes(height: float, width: float = WIDTH, rows: int = 1) -> tuple[Figure, An
     return figure, panels
 
 
+def legend_above(figure: Figure, columns: int = 2) -> None:
+    """Put the legend of a figure above its axes, where it covers no curve, and make room for it."""
+    handles, names = figure.axes[0].get_legend_handles_labels()
+    width, height = figure.get_size_inches()
+    figure.set_size_inches(width, height + 0.19 * -(-len(names) // columns))
+    figure.legend(
+        handles, names, fontsize=8, frameon=False, loc="outside upper center", ncols=columns
+    )
+
+
 def decades(axis: Any, first: int, last: int, every: int = 1) -> None:
     """Label 10^first to 10^last on a logarithmic axis in plain text, as `svg` parses no other."""
     ticks = [10.0**k for k in range(first, last + 1, every)]

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from training.evaluation.report.page import WIDTH, axes, decades
+from training.evaluation.report.page import WIDTH, axes, decades, legend_above
 from training.evaluation.results.claims import Claim
 from training.evaluation.results.table import chosen, pd
 from training.evaluation.results.words import number
@@ -80,7 +80,7 @@ def weights_figure(rows: pd.DataFrame, summary: pd.DataFrame) -> Figure:
     panel.set(xlabel="lambda [N^2], omega = 1", ylabel="iterations, median")
     decades(panel.xaxis, -3, 0)
     decades(panel.yaxis, 0, 3)
-    panel.legend(fontsize=8, frameon=False)
+    legend_above(figure)
     return figure
 
 
@@ -94,7 +94,7 @@ def excess_figure(rows: pd.DataFrame, summary: pd.DataFrame) -> Figure:
     panel.set(xlabel="lambda [N^2], omega = 1", ylabel="normal force above the least [%]")
     decades(panel.xaxis, -3, 0)
     decades(panel.yaxis, 1, 3)
-    panel.legend(fontsize=8.5, frameon=False)
+    legend_above(figure, 3)
     return figure
 
 

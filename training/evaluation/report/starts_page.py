@@ -12,7 +12,7 @@ from training.evaluation.compare.cases import SETS
 from training.evaluation.compare.starts import BASIS, GIVEN_COLOURS, STARTS, start_info
 from training.evaluation.compare.trial import ITERATION_LIMIT, PHI_ROUNDING, TOLERANCE
 from training.evaluation.report.holds_page import grid, rates_figure
-from training.evaluation.report.page import axes
+from training.evaluation.report.page import axes, legend_above
 from training.evaluation.results.claims import Claim
 from training.evaluation.results.table import Rows, chosen, numbers, pd
 from training.evaluation.results.words import number, small
@@ -257,7 +257,7 @@ def network_figure(rows: Rows, means: Rows) -> Figure | None:
     if not panel.lines:
         return None
     _style_shares(panel, "1 + accepted steps of the flow", 1000)
-    panel.legend(fontsize=8.5, frameon=False, loc="lower right")
+    legend_above(figure)
     return figure
 
 
@@ -297,7 +297,7 @@ def profile(query: str, column: str, across: str, by: str = "start") -> Any:
             panel.plot(factor, share, style, color=colour_of[key], label=label)
         _style_shares(panel, across, 100)
         panel.set_xlim(1, 100)
-        panel.legend(fontsize=7.5, frameon=False, loc="lower right", ncols=2 if by == "both" else 1)
+        legend_above(figure)
         return figure
 
     return draw
