@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from training.evaluation.report.page import axes
+from training.evaluation.report.page import axes, legend_above
 from training.evaluation.results.claims import Claim
 from training.evaluation.results.statistics import iqm, iqm_interval, ratio_interval
 from training.evaluation.results.table import pd, summary
@@ -29,6 +29,11 @@ AGENTS = {
     "sac/contact_force": ("SAC, contact forces, no solver", "#7a4fa3"),
 }
 """Label and colour of every policy, in the order of the tables."""
+FIXED: dict[str, dict[str, Any]] = {
+    "margin": {"fmt": "o-", "color": "#5a6472", "label": "fixed margins"},
+    "squeeze": {"fmt": "s:", "color": "#b08d57", "label": "constant squeezes"},
+}
+"""Look of the fixed grips, by the beginning of their names."""
 SPEEDS = ("environment alone", "with inference", "with training")
 """Cases measured in steps per second."""
 TITLE = "Agents beside the paper's start"
@@ -224,8 +229,49 @@ def _curves(rows: pd.DataFrame, column: str, label: str, ending: str) -> Figure 
     return figure
 
 
+def front_figure(rows: pd.DataFrame, summary: pd.DataFrame) -> Figure | None:
+    """Draw the share of episodes held against the squeeze, where fixed grips were played."""
+    scores_of = {name: _by_agent(summary, "held_out", name) for name in _environments(rows)}
+    played = {
+        name: scores
+        for name, scores in scores_of.items()
+        if any(agent.startswith("margin") for agent in scores)
+    }
+    if not played:
+        return None
+    figure, panels = axes(0.9 + 2.6 * len(played), rows=len(played))
+    for panel, (environment, scores) in zip(np.atleast_1d(panels), played.items(), strict=True):
+        for kind, look in FIXED.items():
+            fixed = pd.concat([row for agent, row in scores.items() if agent.startswith(kind)])
+            _plot_rates(panel, fixed.sort_values("commanded_force_mean"), **look)
+        for agent, row in scores.items():
+            if "/" in agent:
+                label, colour = AGENTS[agent]
+                _plot_rates(panel, row, fmt="D", color=colour, label=label)
+        panel.set(ylabel="held [%]", ylim=(-4, 104))
+        panel.set_title(place(environment), loc="left", fontsize=9)
+    figure.axes[-1].set(xlabel="mean sum of normal forces [N]")
+    legend_above(figure)
+    return figure
+
+
+def _plot_rates(panel: Any, rows: pd.DataFrame, fmt: str, **look: Any) -> None:
+    rate, low, high = (
+        100.0 * rows[name].to_numpy(float)
+        for name in ("held_mean", "held_rate_low", "held_rate_high")
+    )
+    around = np.maximum([rate - low, high - rate], 0.0)
+    force = rows["commanded_force_mean"]
+    panel.errorbar(force, rate, around, fmt=fmt, markersize=4, elinewidth=0.9, **look)
+
+
 _CURVES = "Thin: training seeds. Thick: their mean. Dashed: the zero policy, on the same episodes. All actions are deterministic."
 FIGURES = (
+    (
+        "Held against squeeze",
+        "On the held-out episodes, with 95 % intervals (Wilson). A grip farther up and to the left is better.",
+        front_figure,
+    ),
     (
         "Iterations along the training",
         _CURVES,
