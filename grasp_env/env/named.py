@@ -72,7 +72,9 @@ class UncertainGrasp(_Named):
     Terminated if the object is lost, truncated after 200 steps (4 s).
 
     ## Scores
-    SCORES_UNCERTAIN
+    Return, an interquartile mean over 50 episodes: random actions 88, zero actions 137, which is
+    the best of six fixed margins; the best constant squeeze 104. A margin of 0.6 holds 47 of 50 at
+    a mean squeeze of 13.1 N, one of 0.5 holds all at 15.2 N.
 
     Args:
         render_mode, config, **settings: as of `FourFingerGrasp`; a `config` replaces the settings
@@ -121,7 +123,9 @@ class FragileGrasp(_Named):
     200 steps (4 s).
 
     ## Scores
-    SCORES_FRAGILE
+    Return, an interquartile mean over 50 episodes: random actions -49, zero actions 123, the best
+    of six fixed margins, 0.85, 136; the best constant squeeze -40. No fixed margin holds more than
+    41 of 50.
 
     Args:
         render_mode, config, **settings: as of `FourFingerGrasp`; a `config` replaces the settings

@@ -1,5 +1,5 @@
 // Contact geometry: the arrays of a `Grasp`, and the contacts for solvers.
-#include <grasp/conic/nearest_forces.hpp>
+#include <grasp/phi/nearest.hpp>
 
 #include "buffers.hpp"
 #include "views.hpp"

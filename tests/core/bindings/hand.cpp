@@ -49,8 +49,8 @@ struct Trial {
 
   explicit Trial(const Case& variant)
       : tree(tree_of(variant.more, variant.torque_limit, variant.shared)) {
-    scene =
-        std::make_shared<Scene>(tree, Surface{Cuboid{{0.05, 0.05, 0.05}}}, Point{0.0, -9.81, 0.0});
+    scene = std::make_shared<Scene>(tree, Surface{Cuboid{{0.05, 0.05, 0.05}}},
+                                    Point{0.0, -9.81, 0.0}, 0.2);
     std::vector<double> places, inwards;
     for (int i = 0; i < 4; ++i) {
       const double side = i % 2 ? 0.05 : -0.05;
@@ -93,7 +93,7 @@ struct Trial {
       sensors.tactile_noise = 0.02;
     }
     controller->configure(tree, settings, Calibration::newton_metres(*tree), method);
-    hand = std::make_unique<SimulatedHand>(scene, controller, method, object, sensors);
+    hand = std::make_unique<SimulatedHand>(scene, controller, method, 1.0, object, sensors);
     for (int i = 0; i < 4; ++i) {
       controller->springs().goals[i] = point(&places[3 * i]);
       controller->springs().inwards[i] = point(&inwards[3 * i]);
@@ -130,8 +130,8 @@ struct Trial {
     scene->read(reading.data(), reading.size());
   }
 
-  // A step of the method every fifth tick, an adjusted one now and then, all ways to hold in turn;
-  // fingers come and go.
+  // A step of the method every fifth tick, with an adjustment, a residual or another margin now and
+  // then, all ways to hold in turn; fingers come and go.
   void tick() {
     read();
     const Target target;
@@ -148,6 +148,9 @@ struct Trial {
       step.force = forces;
     else if (ticks % 3 == 0)
       step.adjustment = adjustment;
+    else
+      step.residual = forces;
+    if (ticks % 7 == 0) step.margin = {0.5 + 0.4 * (ticks % 2), 0.3};
     if (!hand->see({reading, wrench, noise.data(), {0.0, -9.81, 0.0}, target}))
       throw std::runtime_error("a bad reading");
     controller->act(ticks % 5 == 0 ? &step : nullptr);

@@ -1,8 +1,8 @@
 // The forces of the fingers in contact at an update, and what is done where none balance.
 #pragma once
-#include <grasp/conic/nearest_forces.hpp>
 #include <grasp/hand/given_forces.hpp>
 #include <grasp/hand/grip_springs.hpp>
+#include <grasp/hand/residual_forces.hpp>
 #include <grasp/optimizer.hpp>
 #include <grasp/phi/elastic.hpp>
 
@@ -31,15 +31,13 @@ class GripForces {
         cones_(model, method),
         springs_(model, cones_, method.margin(), settings),
         elastic_(model.tree->fingers()),
-        projection_(model.tree->fingers()),
+        residual_(model),
         follow_row_(follow_.size()),
         within_row_(within_.size()),
         last_row_(within_row_),
         last_force_(force),
         adjustment_(force),
-        residual_(force),
-        optimal_{force, torsion},
-        too_large_(optimal_),
+        too_large_{force, torsion},
         nearest_(too_large_),
         torques_(model.tree->joints()),
         more_torques_(torques_) {}
@@ -48,10 +46,10 @@ class GripForces {
   void reset() {
     std::fill(force.begin(), force.end(), 0.0);
     std::fill(torsion.begin(), torsion.end(), 0.0);
-    cones_.narrow(method_.margin().friction);
+    cones_.reset();
     springs_.set_own_preloads(method_.margin().preload);
     springs_.reset();
-    has_own_margin_ = has_residual_ = false;
+    residual_.reset();
     given_.reset();
     Record(last_row_.data(), model_.tree->fingers()).summary() = {};
     forget_solution();
@@ -127,7 +125,7 @@ class GripForces {
   MarginCones cones_;
   GripSprings springs_;
   ElasticBalance elastic_;
-  NearestForces projection_;
+  ResidualForces residual_;
   // solution rows of these solvers, and the last command as such a row
   std::vector<double> follow_row_, within_row_, last_row_;
   const HandState* state_ = nullptr;  // of this update
@@ -139,13 +137,10 @@ class GripForces {
   double most_normal_ = 0.0;  // [N] largest sum of moderate normal forces
   // margin of this update, if it is another one than the method's
   std::optional<Margin> margin_;
-  bool has_own_margin_ = false, has_residual_ = false;  // of an agent's step
-  bool has_last_ = false;                               // there is a last command
+  bool has_last_ = false;  // there is a last command
   bool near_limits_ = false, exceeds_limits_ = false;
-  // (N, 3) [N]: the last command, contact frames; the adjustment, object frame; the residual,
-  // contact frames
-  std::vector<double> last_force_, adjustment_, residual_;
-  Forces optimal_;                  // without the residual
+  // (N, 3) [N]: the last command, contact frames; the adjustment, object frame
+  std::vector<double> last_force_, adjustment_;
   Forces too_large_, nearest_;      // beyond the motors' limits; those with the smallest imbalance
   std::uint64_t nearest_mask_ = 0;  // fingers for which the latter were found
   std::vector<double> torques_, more_torques_;  // (M,) work space
@@ -168,12 +163,9 @@ class GripForces {
 
   void begin_step(const StepRequest& step) {
     forget_solution();
-    has_residual_ = step.residual.size() == residual_.size() &&
-                    std::ranges::any_of(step.residual, [](double part) { return part != 0.0; });
-    if (has_residual_) std::ranges::copy(step.residual, residual_.begin());
+    residual_.set(step.residual);
     if (!step.margin) return;
-    has_own_margin_ = true;
-    cones_.narrow(step.margin->friction);
+    cones_.replace(step.margin->friction);
     springs_.set_own_preloads(step.margin->preload);
     use_preload(mask_);
   }
@@ -201,25 +193,10 @@ class GripForces {
       springs_.recover(period);
     else if (!found || !make_springs_give_way())
       return find_less(found);
-    if (has_residual_) add_residual();
+    if (residual_.asked())
+      residual_.add(cones_, mask_, positions(), asked_, springs_.preload, force, torsion);
     bound_change();
     nearest_mask_ = 0;
-  }
-  // Go from the optimal forces towards the nearest ones to their sum with the residual, as far as
-  // the motors can.
-  void add_residual() {
-    keep(optimal_);
-    each_finger(mask_, [&](int i) {
-      for (int j = 3 * i; j < 3 * i + 3; ++j) force[j] += residual_[j];
-    });
-    if (!projection_.solve(cones_.contacts, mask_, positions(), model_.frames.data(), asked_,
-                           springs_.preload, force.data(), torsion.data()))
-      return restore(optimal_);
-    model_.torques_of(mask_, optimal_.force.data(), optimal_.torsion.data(), torques_);
-    model_.torques_of(mask_, force.data(), torsion.data(), more_torques_);
-    for (std::size_t j = 0; j < torques_.size(); ++j) more_torques_[j] -= torques_[j];
-    move_from(model_.share_within(more_torques_, torques_), optimal_.force.data(),
-              optimal_.torsion.data());
   }
   // Set the load, and the largest sum of normal forces that are moderate: not far above what wrench
   // and preloads call for. Close to the limit of what contacts can balance, forces grow beyond all
@@ -352,10 +329,10 @@ class GripForces {
 
   // --- preloads
 
-  // The margin of this update is the method's, or the one of an agent, with these preloads.
+  // Set the margin of this update.
   void use_preload(std::uint64_t mask) {
     margin_.reset();
-    if (has_own_margin_ || springs_.changes_preload(mask))
+    if (cones_.replaced() || springs_.changes_preload(mask))
       margin_ = Margin{cones_.share(), springs_.preload};
   }
   // Move the last command of a finger that has just landed into its cone.

@@ -9,18 +9,26 @@ class MarginCones {
  public:
   Contacts contacts;  // those of the method, with a share of their friction
 
-  // The model must outlive this object. The share is that of the method's margin.
+  // The model must outlive this object.
   MarginCones(const HandModel& model, const ForceOptimizer& method)
-      : contacts(method.contacts()), model_(model), whole_(contacts) {
-    narrow(method.margin().friction);
+      : contacts(method.contacts()),
+        model_(model),
+        whole_(contacts),
+        usual_(method.margin().friction) {
+    reset();
   }
-  // Set the share of friction.
-  void narrow(double share) {
-    contacts = whole_;
-    contacts.narrow(share);
-    share_ = share;
+  // Take the share of the method's margin.
+  void reset() {
+    narrow(usual_);
+    replaced_ = false;
+  }
+  // Take another share of the friction.
+  void replace(double share) {
+    narrow(share);
+    replaced_ = true;
   }
   double share() const { return share_; }
+  bool replaced() const { return replaced_; }
 
   // Friction of a finger times the share of the margin, in the coordinates of `beyond`.
   double friction(int i) const { return contacts.scale[3 * i]; }
@@ -53,7 +61,15 @@ class MarginCones {
  private:
   const HandModel& model_;
   const Contacts whole_;
+  const double usual_;
   double share_ = 1.0;
+  bool replaced_ = false;
+
+  void narrow(double share) {
+    contacts = whole_;
+    contacts.narrow(share);
+    share_ = share;
+  }
 
   std::array<double, 3> parts(int i, const Point& force) const {
     return {dot(force, model_.axis(i, 0)), dot(force, model_.axis(i, 1)),
