@@ -77,8 +77,9 @@ class UncertainGrasp(_Named):
     a mean squeeze of 13.1 N, one of 0.5 holds all at 15.2 N.
 
     Args:
-        render_mode, config, **settings: as of `FourFingerGrasp`; a `config` replaces the settings
-            of this problem, and single settings change them.
+        render_mode: as of `FourFingerGrasp`.
+        config: settings that replace those of this problem; None: those.
+        **settings: changes to them, as of `FourFingerGrasp`.
 
     Example:
         >>> import gymnasium as gym
@@ -128,8 +129,9 @@ class FragileGrasp(_Named):
     41 of 50.
 
     Args:
-        render_mode, config, **settings: as of `FourFingerGrasp`; a `config` replaces the settings
-            of this problem, and single settings change them.
+        render_mode: as of `FourFingerGrasp`.
+        config: settings that replace those of this problem; None: those.
+        **settings: changes to them, as of `FourFingerGrasp`.
 
     Example:
         >>> import gymnasium as gym
