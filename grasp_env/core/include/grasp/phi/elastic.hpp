@@ -2,6 +2,7 @@
 // even one.
 #pragma once
 #include <grasp/phi/cones.hpp>
+#include <grasp/phi/touching.hpp>
 
 namespace grasp {
 
@@ -16,7 +17,7 @@ class ElasticBalance {
   int iterations = 0;  // of the last solve
 
   explicit ElasticBalance(int count)
-      : x_(count), step_(count), gradient_(count), inverse_(count), columns_(count) {}
+      : touching_(count), x_(count), step_(count), gradient_(count), inverse_(count) {}
 
   // contacts: gives cones and weights; the current places are positions (N, 3) [m] and frames (N,
   // 3, 3) with columns (n, o, t). force: (N, 3) [N], contact frames, torsion: (N,) [N m]; for the
@@ -24,9 +25,9 @@ class ElasticBalance {
   // wrench [N, N m] share one frame.
   void solve(const Contacts& contacts, std::uint64_t touching, const double* positions,
              const double* frames, const Vec6& wrench, int limit, double* force, double* torsion) {
-    gather(contacts, touching, positions);
-    for (int k = 0; k < count_; ++k) place(contacts, k, positions, frames, force, torsion);
-    const Vec6 w = unit_.of(wrench);
+    touching_.gather(contacts, touching, positions, frames);
+    for (int k = 0; k < touching_.count; ++k) place(contacts, k, force, torsion);
+    const Vec6 w = touching_.unit.of(wrench);
     double value = merit(w, 0.0);
     for (iterations = 0; iterations < limit; ++iterations) {
       const double decrement = find_step(w);
@@ -37,11 +38,11 @@ class ElasticBalance {
            ++halving)
         after = merit(w, alpha *= 0.5);
       if (!(after < value)) break;
-      for (int k = 0; k < count_; ++k) x_[k] += alpha * step_[k];
+      for (int k = 0; k < touching_.count; ++k) x_[k] += alpha * step_[k];
       value = after;
     }
-    for (int k = 0; k < count_; ++k) {
-      const int i = index_[k];
+    for (int k = 0; k < touching_.count; ++k) {
+      const int i = touching_.index[k];
       for (int a = 0; a < 3; ++a) force[3 * i + a] = x_[k][a] / contacts.divisor[3 * i + a];
       torsion[i] = x_[k].v / divisor_of(contacts.torsion_scale(i));
     }
@@ -53,64 +54,42 @@ class ElasticBalance {
   static constexpr double PRECISION = 1e-9;  // squared decrement over the value
   static constexpr double LEAST = 0.1;       // [N] smallest normal force of the guess
   static constexpr int HALVINGS = 40;
-  int count_ = 0, index_[64];
-  UnitFrame unit_;
+  Touching touching_;
   Weights<double, 4> weights_[64];
-  std::vector<X> x_, step_, gradient_;        // cone coordinates
-  std::vector<Sym<double, 4>> inverse_;       // H^-1
-  std::vector<std::array<Vec6, 4>> columns_;  // of G, unit frame
+  std::vector<X> x_, step_, gradient_;   // cone coordinates
+  std::vector<Sym<double, 4>> inverse_;  // H^-1
 
-  void gather(const Contacts& contacts, std::uint64_t touching, const double* positions) {
-    count_ = 0;
-    for (int i = 0; i < contacts.count; ++i)
-      if (touching >> i & 1) index_[count_++] = i;
-    unit_ = UnitFrame(count_, [&](int k) { return point(positions + 3 * index_[k]); });
-  }
-  void place(const Contacts& contacts, int k, const double* positions, const double* frames,
-             const double* force, const double* torsion) {
-    const int i = index_[k];
-    const Point arm = unit_.scale() * (point(positions + 3 * i) - unit_.centre);
+  void place(const Contacts& contacts, int k, const double* force, const double* torsion) {
+    const int i = touching_.index[k];
     const double* f = force + 3 * i;
     const double* scale = &contacts.scale[3 * i];
-    const double* frame = frames + 9 * i;
-    for (int a = 0; a < 3; ++a)
-      columns_[k][a] = (1.0 / contacts.divisor[3 * i + a]) *
-                       unit_wrench(arm, Point{frame[a], frame[3 + a], frame[6 + a]});
-    const double turning = contacts.torsion_scale(i);
-    const double per = unit_.scale() / divisor_of(turning);
-    columns_[k][3] = {0.0, 0.0, 0.0, per * frame[0], per * frame[3], per * frame[6]};
     weights_[k] = weights_of(contacts, i);
-    X x{scale[0] * f[0], scale[1] * f[1], scale[2] * f[2], turning * torsion[i]};
+    X x{scale[0] * f[0], scale[1] * f[1], scale[2] * f[2], contacts.torsion_scale(i) * torsion[i]};
     x.u = std::max({x.u, 1.05 * tangent_length(x), LEAST * scale[0]});
     x_[k] = x;
-  }
-  Vec6 wrench_of(int k, const X& x) const {
-    Vec6 out{};
-    for (int a = 0; a < 4; ++a) out = out + x[a] * columns_[k][a];
-    return out;
   }
   // Product of the columns with nu.
   X pulled(int k, const Vec6& nu) const {
     X out;
-    for (int a = 0; a < 4; ++a) out[a] = dot(columns_[k][a], nu);
+    for (int a = 0; a < 4; ++a) out[a] = dot(touching_.columns[k][a], nu);
     return out;
   }
 
   double merit(const Vec6& w, double alpha) const {
     double total = 0.0;
     Vec6 missed = w;
-    for (int k = 0; k < count_; ++k) {
+    for (int k = 0; k < touching_.count; ++k) {
       const X x = x_[k] + alpha * step_[k];
       if (alpha > 0.0 && !(x.u > 0.0 && lorentz(x, x) > 0.0)) return infinity;
       total += phi(x, weights_[k]);
-      missed = missed + wrench_of(k, x);
+      missed = missed + touching_.wrench_of(k, x);
     }
     return total + dot(missed, missed) / (2.0 * SOFTNESS);
   }
   // 1 / (largest step inside the cones)
   double reach() const {
     double most = 1e-300;
-    for (int k = 0; k < count_; ++k) most = std::max(most, Boundary(x_[k]).per(step_[k]));
+    for (int k = 0; k < touching_.count; ++k) most = std::max(most, Boundary(x_[k]).per(step_[k]));
     return most;
   }
   // Compute the Newton step; return its squared decrement.
@@ -118,14 +97,15 @@ class ElasticBalance {
     Packed6 schur{};
     Vec6 missed = w, pull{};
     for (int r = 0; r < 6; ++r) schur[packed(r, r)] = SOFTNESS;
-    for (int k = 0; k < count_; ++k) {
+    for (int k = 0; k < touching_.count; ++k) {
       inverse_[k] = inverse_hessian(x_[k], weights_[k]);
       gradient_[k] = gradient(x_[k], weights_[k]);
-      missed = missed + wrench_of(k, x_[k]);
-      pull = pull + wrench_of(k, inverse_[k] * gradient_[k]);
+      missed = missed + touching_.wrench_of(k, x_[k]);
+      pull = pull + touching_.wrench_of(k, inverse_[k] * gradient_[k]);
       for (int r = 0; r < 6; ++r) {
-        const auto& c = columns_[k];
-        const Vec6 row = wrench_of(k, inverse_[k] * X{c[0][r], c[1][r], c[2][r], c[3][r]});
+        const auto& c = touching_.columns[k];
+        const Vec6 row =
+            touching_.wrench_of(k, inverse_[k] * X{c[0][r], c[1][r], c[2][r], c[3][r]});
         for (int q = 0; q <= r; ++q) schur[packed(r, q)] += row[q];
       }
     }
@@ -133,7 +113,7 @@ class ElasticBalance {
     if (!(factor.factor(schur) > 0.0)) return 0.0;
     const Vec6 nu = factor.solve(pull - missed);
     double decrement = 0.0;
-    for (int k = 0; k < count_; ++k) {
+    for (int k = 0; k < touching_.count; ++k) {
       step_[k] = inverse_[k] * (pulled(k, nu) - gradient_[k]);
       // gradient of the merit: grad Phi + G^T (G x + w) / SOFTNESS
       decrement -= dot(step_[k], gradient_[k] + pulled(k, (1.0 / SOFTNESS) * missed));

@@ -1,8 +1,7 @@
 // The balanced forces inside the cones that are nearest to given ones; any number of contacts up
 // to 64.
 #pragma once
-#include <grasp/contacts/contacts.hpp>
-#include <grasp/math/vec.hpp>
+#include <grasp/phi/touching.hpp>
 
 namespace grasp {
 
@@ -14,7 +13,7 @@ class NearestForces {
  public:
   int iterations = 0;  // of the last solve
 
-  explicit NearestForces(int count) : given_(count), x_(count), slopes_(count), columns_(count) {}
+  explicit NearestForces(int count) : touching_(count), given_(count), x_(count), slopes_(count) {}
 
   // contacts: gives the cones; the current places are positions (N, 3) [m] and frames (N, 3, 3)
   // with columns (n, o, t). preload: (N,) [N], or empty. force: (N, 3) [N], contact frames,
@@ -24,18 +23,18 @@ class NearestForces {
   bool solve(const Contacts& contacts, std::uint64_t touching, const double* positions,
              const double* frames, const Vec6& wrench, std::span<const double> preload,
              double* force, double* torsion) {
-    gather(contacts, touching, positions);
-    Vec6 w = unit_.of(wrench);
-    for (int k = 0; k < count_; ++k) {
-      const int i = index_[k];
-      place(contacts, k, positions, frames, force, torsion);
+    touching_.gather(contacts, touching, positions, frames);
+    Vec6 w = touching_.unit.of(wrench);
+    for (int k = 0; k < touching_.count; ++k) {
+      const int i = touching_.index[k];
+      place(contacts, k, force, torsion);
       const double before = preload.empty() ? 0.0 : preload[i];
       given_[k].u -= before;
-      w = w + before * columns_[k][0];
+      w = w + before * touching_.columns[k][0];
     }
     if (!find(w)) return false;
-    for (int k = 0; k < count_; ++k) {
-      const int i = index_[k];
+    for (int k = 0; k < touching_.count; ++k) {
+      const int i = touching_.index[k];
       force[3 * i] = x_[k].u + (preload.empty() ? 0.0 : preload[i]);
       for (int a = 1; a < 3; ++a) force[3 * i + a] = x_[k][a] / contacts.divisor[3 * i + a];
       torsion[i] = x_[k].v / divisor_of(contacts.torsion_scale(i));
@@ -59,39 +58,19 @@ class NearestForces {
     double along = 0.0, across = 0.0;
     X direction{};  // (1, mu e)
   };
-  int count_ = 0, index_[64];
-  UnitFrame unit_;
+  Touching touching_;  // columns of newtons along the normals
   double friction_[64];
   std::vector<X> given_, x_;  // (n, o, t, v): |(o, t, v)| <= friction n
   std::vector<Slope> slopes_;
-  std::vector<std::array<Vec6, 4>> columns_;  // of G, unit frame
 
-  void gather(const Contacts& contacts, std::uint64_t touching, const double* positions) {
-    count_ = 0;
-    for (int i = 0; i < contacts.count; ++i)
-      if (touching >> i & 1) index_[count_++] = i;
-    unit_ = UnitFrame(count_, [&](int k) { return point(positions + 3 * index_[k]); });
-  }
-  void place(const Contacts& contacts, int k, const double* positions, const double* frames,
-             const double* force, const double* torsion) {
-    const int i = index_[k];
-    const Point arm = unit_.scale() * (point(positions + 3 * i) - unit_.centre);
-    const double* frame = frames + 9 * i;
+  void place(const Contacts& contacts, int k, const double* force, const double* torsion) {
+    const int i = touching_.index[k];
     const double* scale = &contacts.scale[3 * i];
     const double* f = force + 3 * i;
-    for (int a = 0; a < 3; ++a)
-      columns_[k][a] = (a == 0 ? 1.0 : 1.0 / contacts.divisor[3 * i + a]) *
-                       unit_wrench(arm, Point{frame[a], frame[3 + a], frame[6 + a]});
     const double turning = contacts.torsion_scale(i);
-    const double per = unit_.scale() / divisor_of(turning);
-    columns_[k][3] = {0.0, 0.0, 0.0, per * frame[0], per * frame[3], per * frame[6]};
+    touching_.columns[k][0] = scale[0] * touching_.columns[k][0];  // of newtons
     friction_[k] = scale[1] > 0.0 || turning > 0.0 ? scale[0] : 0.0;
     given_[k] = {f[0], scale[1] * f[1], scale[2] * f[2], turning * torsion[i]};
-  }
-  Vec6 wrench_of(int k, const X& x) const {
-    Vec6 out{};
-    for (int a = 0; a < 4; ++a) out = out + x[a] * columns_[k][a];
-    return out;
   }
   // Project y on the cone of a contact.
   void project(int k, const X& y) {
@@ -119,12 +98,12 @@ class NearestForces {
   double dual(const Vec6& nu, const Vec6& w, Vec6& missed) {
     missed = w;
     double value = -dot(nu, w);
-    for (int k = 0; k < count_; ++k) {
+    for (int k = 0; k < touching_.count; ++k) {
       X y = given_[k];
-      for (int a = 0; a < 4; ++a) y[a] -= dot(columns_[k][a], nu);
+      for (int a = 0; a < 4; ++a) y[a] -= dot(touching_.columns[k][a], nu);
       project(k, y);
       value += 0.5 * dot(x_[k], x_[k]);
-      missed = missed + wrench_of(k, x_[k]);
+      missed = missed + touching_.wrench_of(k, x_[k]);
     }
     return value;
   }
@@ -148,17 +127,17 @@ class NearestForces {
     Vec6 missed;
     double value = dual(nu, w, missed);
     double largest = 1.0 + size(w);
-    for (int k = 0; k < count_; ++k)
+    for (int k = 0; k < touching_.count; ++k)
       largest = std::max(largest, std::sqrt(dot(given_[k], given_[k])));
     const double enough = EXACT * largest;
     const double rounding = ROUNDING_OF_SQUARES * largest * largest;
     for (iterations = 0; iterations < MOST; ++iterations) {
       if (size(missed) <= enough) return true;
       Packed6 system{};
-      for (int k = 0; k < count_; ++k)
+      for (int k = 0; k < touching_.count; ++k)
         for (int r = 0; r < 6; ++r) {
-          const auto& c = columns_[k];
-          const Vec6 row = wrench_of(k, sloped(k, X{c[0][r], c[1][r], c[2][r], c[3][r]}));
+          const auto& c = touching_.columns[k];
+          const Vec6 row = touching_.wrench_of(k, sloped(k, X{c[0][r], c[1][r], c[2][r], c[3][r]}));
           for (int q = 0; q <= r; ++q) system[packed(r, q)] += row[q];
         }
       double trace = 0.0;
