@@ -22,7 +22,7 @@ SCHEMA = "grasp-force/rl-agent/3"
 ENV_ID = "FourFingerGrasp-v0"
 META = "agent.json"
 STEM = "step-"
-ACTIONS = ("initial_force", "residual", "grip", "contact_force")
+ACTIONS = tuple(mode for mode in MODES if mode != "none")
 """Action modes of agents."""
 Parts = dict[str, dict[str, np.ndarray]]
 """Arrays by name, by the stem of their file."""

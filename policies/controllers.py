@@ -58,4 +58,7 @@ class ZeroPolicy:
         `episode_start` and `deterministic` have no effect.
         """
         shape = as_array(observation, None, "observation", finite=False).shape[:-1]
-        return np.zeros((*shape, self.action_size), dtype=np.float32), state
+        return self._actions((*shape, self.action_size)), state
+
+    def _actions(self, shape: tuple[int, ...]) -> NDArray[np.float32]:
+        return np.zeros(shape, dtype=np.float32)

@@ -280,7 +280,7 @@ class EnvConfig(Settings):
             if getattr(limits, name) is None
         }
         if limits.end_at_fault is None:
-            defaults["end_at_fault"] = self.agent.action_mode == "contact_force"
+            defaults["end_at_fault"] = self.agent.sets_forces
         item = with_soft_contacts(self.object, self.hand_description)
         if item is not self.object:
             warn(

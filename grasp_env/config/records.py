@@ -290,6 +290,11 @@ class AgentSettings(Settings):
         "all", one_of(("all", "numbers")), "Contents of info: all, or numbers only, as arrays."
     )
 
+    @property
+    def sets_forces(self) -> bool:
+        """True if the agent sets the contact forces itself, without the solver."""
+        return self.action_mode == "contact_force"
+
 
 @dataclass(frozen=True)
 class RewardSettings(Settings):

@@ -41,7 +41,7 @@ MAX_BANDWIDTH = 0.3
 
 
 class AgentRequest(NamedTuple):
-    """What an agent asks of a step. Every member is optional.
+    """Request of an agent for one step. Every member is optional.
 
     Attributes:
         adjustment: (max(3N - 6, 1),) [N] along internal forces of the planned contacts, added to

@@ -1,4 +1,4 @@
-"""What the actions of an agent mean: one entry of `MODES` for each `agent.action_mode`."""
+"""Meanings of an agent's actions: one entry of `MODES` for each `agent.action_mode`."""
 
 from __future__ import annotations
 

@@ -147,7 +147,7 @@ def _wrenches(plan: Plan, scene: Scene) -> Array:
 def _largest(config: EnvConfig, scene: Scene, wrenches: Array, friction: float) -> float:
     """Return the largest force of a finger [N] at the largest wrench of the episode."""
     points = np.array(scene.config.contact_points)
-    if config.agent.action_mode == "contact_force":
+    if config.agent.sets_forces:
         return 2.0 * config.agent.action_scale
     if config.controller.kind != "optimized":
         return config.controller.squeeze / len(points)

@@ -24,6 +24,7 @@ from grasp_env.control.loop import NOTHING, ForceLoop
 from grasp_env.control.structure import finger_structure
 from grasp_env.env.actions import MODES
 from grasp_env.env.annotate import Annotator
+from grasp_env.env.faults import lasting_fault, passing_fault
 from grasp_env.env.motors import Motors
 from grasp_env.env.observation import Observer
 from grasp_env.env.plan import Plan, make_plan
@@ -293,7 +294,6 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         assert limits.max_tilt is not None
         self._max_drift = limits.max_drift
         self._max_tilt = limits.max_tilt
-        self._max_force = math.inf if limits.max_force is None else limits.max_force
         self.step_limit = max(1, round(limits.duration * config.agent.rate))
         self._camera: Camera | None = None
         self._window: Painter | None = None
@@ -531,30 +531,10 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
 
     def _find_fault(self) -> None:
         """Set why the object does not count as held, "" if it does, and whether this lasts."""
-        self._fault = self._failure or self._lasting_fault()
+        self._fault = self._failure or lasting_fault(self._outcome, self.config)
         self._broken = bool(self._fault)
         if not self._broken:
-            self._fault = self._passing_fault()
-
-    def _lasting_fault(self) -> str:
-        """Return the first of the faults that no later step undoes."""
-        outcome, limits = self._outcome, self.config.limits
-        if outcome.slide > limits.max_slide:
-            return "slid"
-        if outcome.overlap > limits.max_overlap:
-            return "overlap"
-        if outcome.stray_share > limits.max_stray:
-            return "stray_force"
-        return "crushed" if outcome.force > self._max_force else ""
-
-    def _passing_fault(self) -> str:
-        """Return the first of the faults that may end again."""
-        outcome, limits = self._outcome, self.config.limits
-        if not self.config.task.in_place(outcome.drift, outcome.tilt):
-            return "drifted"
-        if outcome.imbalance > limits.max_imbalance:
-            return "not_carried"
-        return "moving" if outcome.speed > limits.max_speed else ""
+            self._fault = passing_fault(self._outcome, self.config)
 
     def _checked(self, action: NDArray[np.float32]) -> list[float]:
         values = action
@@ -650,7 +630,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
 def why_idle(config: EnvConfig) -> str:
     """Return why actions change nothing; "" if they do, or are off on purpose."""
     mode = config.agent.action_mode
-    if mode in ("contact_force", "none"):
+    if config.agent.sets_forces or mode == "none":
         return ""
     if config.controller.kind != "optimized":
         return f"controller.kind={config.controller.kind!r} does not optimise"

@@ -1,4 +1,4 @@
-"""What actions do: zero changes nothing, and others keep the object balanced within the margin."""
+"""Zero actions change nothing; all others keep the object balanced within the margin."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ def held_forces() -> np.ndarray:
 
 @ENGINES
 def test_the_forces_hold(held_forces, engine):
-    """What the others do until they let go."""
+    """The other tests begin with these forces, which hold the object to the end."""
     rows = played(lambda k, info: actions_of(held_forces), engine=engine, **FORCES)
     assert all(info["is_success"] and reward > 0.0 for info, reward in rows)
     assert len(rows) == STEPS

@@ -13,12 +13,13 @@ import numpy as np
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+import training.rl.rl_config as rl_config
 import training.rl.speed
 import training.rl.train
 from grasp_env.config import EnvConfig
 from grasp_env.config.env import as_config
 from grasp_env.errors import GraspError
-from policies import TrainedAgent, ZeroPolicy
+from policies import TrainedAgent, ZeroPolicy, agent_files
 from policies.agent_files import ENV_ID, checkpoints, find_checkpoint, read_meta
 from training.data.episodes import EpisodeStep
 from training.evaluation.report import rl_page as page
@@ -369,6 +370,7 @@ def test_agents_of_a_named_environment_stand_beside_fixed_grips(tmp_path, capsys
     rows, about = run.load()
     held_out = rows[rows["case"] == "held_out"]
     assert about["agents"][0]["action"] == "grip"
+    assert rl_config.ACTIONS == agent_files.ACTIONS
     assert {*held_out["agent"]} == {"ppo/grip", *GRIPS}
     ends = held_out[held_out["held"].notna()].set_index("agent")
     force = ends["commanded_force"]

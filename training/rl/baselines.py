@@ -28,16 +28,8 @@ class RandomPolicy(ZeroPolicy):
         super().__init__(action_size)
         self._rng = np.random.default_rng(0)
 
-    def predict(
-        self,
-        observation: Any,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], Any]:
-        """See `Policy`."""
-        zeros, state = super().predict(observation, state)
-        return self._rng.uniform(-1.0, 1.0, zeros.shape).astype(np.float32), state
+    def _actions(self, shape: tuple[int, ...]) -> NDArray[np.float32]:
+        return self._rng.uniform(-1.0, 1.0, shape).astype(np.float32)
 
 
 @dataclass(frozen=True)

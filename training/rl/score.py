@@ -23,7 +23,7 @@ def score(
         last row of an episode also has the columns of `outcome`.
     """
     config = as_config(settings)
-    solver = config.agent.action_mode != "contact_force"
+    solver = not config.agent.sets_forces
     env = gym.make(f"grasp_env:{ENV_ID}", config=config)
     rows: list[dict[str, Any]] = []
     try:
