@@ -262,13 +262,13 @@ class ForceLoop:
             raise self.scene.divergence_error(reading)
         if self._settling:
             self.controller.take_hold()
-        if by_rule:
-            return self._from_rule(asked)
-        return self._act(due, asked, None)
+        if not due:
+            return self.controller.act(False)
+        return self._from_rule(asked) if by_rule else self._begin(asked, None)
 
-    def _act(self, due: bool, asked: AgentRequest, start: Array | None) -> list[float]:
+    def _begin(self, asked: AgentRequest, start: Array | None) -> list[float]:
         return self.controller.act(
-            due, asked.adjustment, start, asked.forces, asked.residual, asked.margin
+            True, asked.adjustment, start, asked.forces, asked.residual, asked.margin
         )
 
     def _from_rule(self, asked: AgentRequest) -> list[float]:
@@ -283,11 +283,11 @@ class ForceLoop:
             start = rule_start(self.optimizer.initial, problem, self.optimizer.objective)
         except self._lost_closure:  # the method reports this from its own start
             self._start = None
-            return self._act(True, asked, None)
+            return self._begin(asked, None)
         force = np.zeros((self.count, 3))
         force[touching] = start.force
         self._start = start
-        torques = self._act(True, asked, force)
+        torques = self._begin(asked, force)
         if self.controller.code == REFUSED and not isinstance(self.initial_force, str):
             raise refused_start(problem, start, None)
         return torques

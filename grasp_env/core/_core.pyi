@@ -1163,7 +1163,7 @@ class HandController:
         First half of `update`: take the state and count the fingers in contact.
         """
 
-    def act(self, due: bool, adjustment: object | None, start: object | None, given: object | None, residual: object | None = None, margin: object | None = None) -> list[float]:
+    def act(self, due: bool, adjustment: object | None = None, start: object | None = None, given: object | None = None, residual: object | None = None, margin: object | None = None) -> list[float]:
         """
         Second half of `update`: find forces, and return the joint torques (M,) [N m] that produce them.
         due: True if an agent's step begins, with adjustment (K,) [N] of the start. start: (N, 3) [N], contact frames,

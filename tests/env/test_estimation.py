@@ -289,5 +289,5 @@ def test_the_controller_knows_how_late_its_sensors_are(joints, rest, wrench, all
     made.reset()
     look(made, np.zeros(6), np.zeros(15))
     controller.hold = core.Hold.place
-    controller.act(False, None, None, None)
+    controller.act(False)
     assert controller.status == ("given" if allowed > 3.0 else "released")

@@ -60,7 +60,7 @@ def test_a_recording_ends_at_an_agents_step():
     controller.activate(state)
     updated(controller, state, 3)
     controller.observe(state, PERIOD)
-    controller.act(True, None, None, None)
+    controller.act(True)
     updated(controller, state, 3)
     assert len(Recording.of(controller)) == 4
 

@@ -310,12 +310,12 @@ def test_forces_and_places_that_are_given_are_not_judged():
     forces = np.tile([5.0, 50.0, 0.0], (4, 1))
     controller.hold = core.Hold.direct
     controller.observe(state, PERIOD)
-    controller.act(True, None, None, forces)
+    controller.act(True, given=forces)
     assert controller.status == "given"
     assert_array_equal(controller.force, forces)
     # a command that is not finite leaves the last one
     controller.observe(state, PERIOD)
-    controller.act(True, None, None, np.full((4, 3), np.nan))
+    controller.act(True, given=np.full((4, 3), np.nan))
     assert_array_equal(controller.force, forces)
     controller.deactivate()
     controller.activate(state)

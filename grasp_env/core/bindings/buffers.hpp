@@ -1,5 +1,5 @@
-// Python's buffer protocol: an array is read in place if its layout is the core's. Otherwise Python
-// converts it, or reports an error.
+// Arrays of numpy, and of others by Python's buffer protocol: an array is read in place if its
+// layout is the core's. Otherwise Python converts it, or reports an error.
 #pragma once
 
 #include <cstring>
@@ -7,13 +7,21 @@
 
 #include "module.hpp"
 
+#define NPY_NO_DEPRECATED_API NPY_2_0_API_VERSION
+#include <numpy/ndarraytypes.h>
+
 class Buffer {
  public:
+  // The type of numpy arrays, which are read without the protocol: it takes as long as a small
+  // calculation. Set when the module is loaded.
+  inline static PyTypeObject* array_type = nullptr;
+
   Buffer(nb::handle object, bool writable = false) {
-    if (object.is_none() || !PyObject_CheckBuffer(object.ptr())) return;
-    const int flags = PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | (writable ? PyBUF_WRITABLE : 0);
-    held_ = PyObject_GetBuffer(object.ptr(), &view_, flags) == 0;
-    if (!held_) PyErr_Clear();
+    if (object.is_none()) return;
+    if (Py_TYPE(object.ptr()) == array_type)
+      read_array(reinterpret_cast<PyArrayObject*>(object.ptr()), writable);
+    else if (PyObject_CheckBuffer(object.ptr()))
+      read_buffer(object.ptr(), writable);
   }
   ~Buffer() {
     if (held_) PyBuffer_Release(&view_);
@@ -24,24 +32,46 @@ class Buffer {
   // True for float64 numbers of this shape; -1: any length.
   template <class... Sizes> bool has(Sizes... sizes) const {
     const Py_ssize_t expected[] = {Py_ssize_t(sizes)...};
-    if (!held_ || std::strcmp(view_.format, "d") != 0 || view_.ndim != int(sizeof...(sizes)))
-      return false;
-    for (int a = 0; a < view_.ndim; ++a)
-      if (expected[a] >= 0 && view_.shape[a] != expected[a]) return false;
+    if (dimensions_ != int(sizeof...(sizes))) return false;
+    for (int a = 0; a < dimensions_; ++a)
+      if (expected[a] >= 0 && shape_[a] != expected[a]) return false;
     return true;
   }
   // True for `count` float64 numbers in any shape.
-  bool holds(Py_ssize_t count) const {
-    return held_ && std::strcmp(view_.format, "d") == 0 &&
-           view_.len == count * Py_ssize_t(sizeof(double));
-  }
-  Py_ssize_t length(int axis) const { return view_.shape[axis]; }
-  double* data() const { return static_cast<double*>(view_.buf); }
-  std::span<double> numbers() const { return {data(), view_.len / sizeof(double)}; }
+  bool holds(Py_ssize_t count) const { return dimensions_ >= 0 && count_ == count; }
+  Py_ssize_t length(int axis) const { return shape_[axis]; }
+  double* data() const { return data_; }
+  std::span<double> numbers() const { return {data_, std::size_t(count_)}; }
 
  private:
   Py_buffer view_;
   bool held_ = false;
+  double* data_ = nullptr;
+  const Py_ssize_t* shape_ = nullptr;
+  int dimensions_ = -1;  // of float64 numbers; -1: there are none
+  Py_ssize_t count_ = 0;
+
+  void read_buffer(PyObject* object, bool writable) {
+    const int flags = PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | (writable ? PyBUF_WRITABLE : 0);
+    held_ = PyObject_GetBuffer(object, &view_, flags) == 0;
+    if (!held_) PyErr_Clear();
+    if (!held_ || std::strcmp(view_.format, "d") != 0) return;
+    data_ = static_cast<double*>(view_.buf);
+    shape_ = view_.shape;
+    dimensions_ = view_.ndim;
+    count_ = view_.len / Py_ssize_t(sizeof(double));
+  }
+  void read_array(PyArrayObject* array, bool writable) {
+    const int flags = writable ? NPY_ARRAY_CARRAY : NPY_ARRAY_CARRAY_RO;
+    if (PyArray_TYPE(array) != NPY_DOUBLE || !PyArray_CHKFLAGS(array, flags) ||
+        !PyArray_ISNOTSWAPPED(array))
+      return;
+    data_ = static_cast<double*>(PyArray_DATA(array));
+    shape_ = PyArray_DIMS(array);
+    dimensions_ = PyArray_NDIM(array);
+    count_ = 1;
+    for (int a = 0; a < dimensions_; ++a) count_ *= shape_[a];
+  }
 };
 
 // The numbers of an array that the package made for the core. Throws a TypeError for another shape.

@@ -68,8 +68,10 @@ nb::typed<nb::list, double> act(nb::handle self, bool due, nb::handle adjustment
   } else {
     controller.act();
   }
-  nb::list out;
-  for (double torque : controller.torques) out.append(torque);
+  nb::list out = nb::steal<nb::list>(PyList_New(Py_ssize_t(controller.torques.size())));
+  if (!out.is_valid()) throw nb::python_error();
+  for (std::size_t j = 0; j < controller.torques.size(); ++j)
+    PyList_SET_ITEM(out.ptr(), Py_ssize_t(j), PyFloat_FromDouble(controller.torques[j]));
   return out;
 }
 
@@ -284,8 +286,8 @@ void bind_hand_controller(nb::module_& m) {
           "(N,) share of the friction that each commanded force uses.")
       .def("observe", &HandController::observe, "state"_a, "period"_a,
            "First half of `update`: take the state and count the fingers in contact.")
-      .def("act", &act, "due"_a, "adjustment"_a.none(), "start"_a.none(), "given"_a.none(),
-           "residual"_a = nb::none(), "margin"_a = nb::none(),
+      .def("act", &act, "due"_a, "adjustment"_a = nb::none(), "start"_a = nb::none(),
+           "given"_a = nb::none(), "residual"_a = nb::none(), "margin"_a = nb::none(),
            "Second half of `update`: find forces, and return the joint torques (M,) [N m] that "
            "produce them.\n"
            "due: True if an agent's step begins, with adjustment (K,) [N] of the start. start: (N, "

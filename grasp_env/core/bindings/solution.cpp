@@ -2,6 +2,7 @@
 // Plain CPython and numpy: Python or a nanobind class take four times as long.
 #include <grasp/record.hpp>
 
+#include "buffers.hpp"
 #include "solution.hpp"
 
 #include <structmember.h>
@@ -257,6 +258,7 @@ nb::object names_of(nb::handle solution) {
 
 void bind_solution(nb::module_& m) {
   if (_import_array() < 0) throw nb::python_error();
+  Buffer::array_type = &PyArray_Type;
   npy_intp none = 0;
   empty_array = PyArray_SimpleNew(1, &none, NPY_DOUBLE);
   if (!empty_array) throw nb::python_error();
