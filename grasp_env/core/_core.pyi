@@ -173,12 +173,6 @@ class Contacts:
         Write the part of a wrench (6,) that forces of these contacts can make into `to` (6,).
         """
 
-    def nearest(self, wrench: object, preload: object, force: object, torsion: object) -> int:
-        """
-        Replace forces (N, 3) [N], contact frames, and torsions (N,) [N m] by the nearest ones in the cones that balance
-        a wrench (6,), with preloads (N,) [N]. Return the number of iterations; -1: none were found, nothing is changed.
-        """
-
     @property
     def rank(self) -> int:
         """Rank of G, torsion included."""

@@ -1,5 +1,5 @@
 // Contact geometry: the arrays of a `Grasp`, and the contacts for solvers.
-#include <grasp/phi/nearest.hpp>
+#include <grasp/contacts/contacts.hpp>
 
 #include "buffers.hpp"
 #include "views.hpp"
@@ -134,21 +134,6 @@ Contacts put(nb::handle positions, nb::handle normals, nb::handle scale, nb::han
 }
 
 // Copies for solvers, with the current directions of o.
-int nearest(const Contacts& contacts, nb::handle wrench, nb::handle preload, nb::handle force,
-            nb::handle torsion) {
-  const Numbers w = in(wrench, 6);
-  const Numbers s = in(preload, contacts.count);
-  const Numbers f = out(force, contacts.count, 3);
-  const Numbers m = out(torsion, contacts.count);
-  Vec6 balanced;
-  std::copy_n(w.data(), 6, balanced.begin());
-  NearestForces nearest(contacts.count);
-  const bool found =
-      nearest.solve(contacts, ~std::uint64_t(0), contacts.positions.data(), contacts.frames.data(),
-                    balanced, s.numbers(), f.data(), m.data());
-  return found ? nearest.iterations : -1;
-}
-
 template <class Weights> Contacts weighed(const Contacts& contacts, const Weights& weights) {
   if (contacts.placing != Placing::good) throw nb::value_error("rank(G) < 6");
   Contacts copy = contacts;
@@ -255,11 +240,6 @@ void bind_contacts(nb::module_& m) {
           },
           "wrench"_a, "to"_a,
           "Write the part of a wrench (6,) that forces of these contacts can make into `to` (6,).")
-      .def("nearest", &nearest, "wrench"_a, "preload"_a, "force"_a, "torsion"_a,
-           "Replace forces (N, 3) [N], contact frames, and torsions (N,) [N m] by the nearest ones "
-           "in the cones that balance\n"
-           "a wrench (6,), with preloads (N,) [N]. Return the number of iterations; -1: none were "
-           "found, nothing is changed.")
       .def_prop_ro(
           "rank", [](const Contacts& c) { return c.reach.rank; }, "Rank of G, torsion included.")
       .def_prop_ro("soft", &Contacts::soft, "True if any contact transmits torsion.")

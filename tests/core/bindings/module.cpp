@@ -17,6 +17,7 @@ NB_MODULE(_core_test, m) {
   bind_elastic(m);
   bind_geometry(m);
   bind_hand(m);
+  bind_nearest(m);
   bind_optimizer(m);
   bind_phi(m);
   bind_planner(m);

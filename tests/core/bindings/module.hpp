@@ -10,6 +10,7 @@ void bind_allocations(nb::module_& m);
 void bind_elastic(nb::module_& m);
 void bind_geometry(nb::module_& m);
 void bind_hand(nb::module_& m);
+void bind_nearest(nb::module_& m);
 void bind_optimizer(nb::module_& m);
 void bind_phi(nb::module_& m);
 void bind_planner(nb::module_& m);

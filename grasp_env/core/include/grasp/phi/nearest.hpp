@@ -122,17 +122,21 @@ class NearestForces {
     out.v += slope.across * (from.v - along * d.v);
     return out;
   }
+  // At least 1 N, the wrench, and the largest force, given or at hand.
+  double largest(const Vec6& w) const {
+    double square = 0.0;
+    for (int k = 0; k < touching_.count; ++k)
+      square = std::max({square, dot(given_[k], given_[k]), dot(x_[k], x_[k])});
+    return std::max(1.0 + size(w), std::sqrt(square));
+  }
   bool find(const Vec6& w) {
     Vec6 nu{};
     Vec6 missed;
     double value = dual(nu, w, missed);
-    double largest = 1.0 + size(w);
-    for (int k = 0; k < touching_.count; ++k)
-      largest = std::max(largest, std::sqrt(dot(given_[k], given_[k])));
-    const double enough = EXACT * largest;
-    const double rounding = ROUNDING_OF_SQUARES * largest * largest;
     for (iterations = 0; iterations < MOST; ++iterations) {
-      if (size(missed) <= enough) return true;
+      const double most = largest(w);
+      if (size(missed) <= EXACT * most) return true;
+      const double rounding = ROUNDING_OF_SQUARES * most * (most + size(nu));
       Packed6 system{};
       for (int k = 0; k < touching_.count; ++k)
         for (int r = 0; r < 6; ++r) {
