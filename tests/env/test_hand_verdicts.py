@@ -335,3 +335,16 @@ def test_a_squeeze_presses_at_the_contacts_at_hand():
     assert (controller.force[:, 0] > 0.0).all()
     used = np.hypot(controller.force[:, 1], controller.force[:, 2]) / controller.force[:, 0]
     assert (used < FRICTION).all()
+
+
+@pytest.mark.parametrize(
+    "margin", [(np.nan, 0.0), (0.0, 0.0), (1.1, 0.0), (0.5, -1.0), (0.5, np.inf), (0.5, np.nan)]
+)
+def test_a_margin_that_is_none_changes_nothing(margin):
+    controller, state = made()
+    updated(controller, state, 20)
+    force = controller.force.copy()
+    with pytest.raises(ValueError, match="margin must be a friction above 0 and at most 1"):
+        controller.act(True, margin=np.array(margin))
+    updated(controller, state, 20)
+    assert_allclose(controller.force, force, atol=1e-9)

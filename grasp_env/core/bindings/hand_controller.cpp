@@ -47,6 +47,9 @@ class AgentStep {
     if (!margin.is_none()) {
       if (!margin_.has(2)) throw nb::type_error("margin must be (2,)");
       step.margin = {margin_.data()[0], margin_.data()[1]};
+      if (!step.margin->is_sound())
+        throw nb::value_error(
+            "margin must be a friction above 0 and at most 1, and a preload of at least 0 N");
     }
     if (!start.is_none()) {
       step.start = Start::given;

@@ -109,7 +109,7 @@ class GripForces {
   static constexpr double NEAR = 0.9;
   // rounding of a balance, relative to the wrench
   static constexpr double ROUNDED = 1e-6;
-  // smallest normal force times friction of a finger that has just landed [N]
+  // smallest normal force times friction of a finger that just landed [N]
   static constexpr double LIGHT = 1e-2;
   // A wrench is nearly balanced if less than this is missing [N], and less than this share of it.
   static constexpr double LITTLE = 0.3, LITTLE_SHARE = 0.2;
@@ -135,7 +135,7 @@ class GripForces {
   UnitFrame unit_;            // of the touching contacts
   double load_ = 0.0;         // [N] largest component of the wrench, unit frame
   double most_normal_ = 0.0;  // [N] largest sum of moderate normal forces
-  // margin of this update, if it is another one than the method's
+  // margin of this update, if not the method's
   std::optional<Margin> margin_;
   bool has_last_ = false;  // there is a last command
   bool near_limits_ = false, exceeds_limits_ = false;
@@ -164,7 +164,7 @@ class GripForces {
   void begin_step(const StepRequest& step) {
     forget_solution();
     residual_.set(step.residual);
-    if (!step.margin) return;
+    if (!step.margin || !step.margin->is_sound()) return;
     cones_.replace(step.margin->friction);
     springs_.set_own_preloads(step.margin->preload);
     use_preload(mask_);
@@ -329,7 +329,7 @@ class GripForces {
 
   // --- preloads
 
-  // Set the margin of this update.
+  // Set this update's margin.
   void use_preload(std::uint64_t mask) {
     margin_.reset();
     if (cones_.replaced() || springs_.changes_preload(mask))

@@ -145,9 +145,12 @@ struct StepRequest {
   // (N, 3) [N], contact frames: moves the optimal forces to the nearest of their sum that balance
   // the wrench within the margin
   Doubles residual{};
-  // from this update on, in place of that of the method
+  // from this update on, in place of that of the method; ignored unless `is_sound`
   struct GripMargin {
-    double friction, preload;
+    double friction, preload;  // above 0, at most 1; [N] at least 0
+    bool is_sound() const {
+      return friction > 0.0 && friction <= 1.0 && preload >= 0.0 && std::isfinite(preload);
+    }
   };
   std::optional<GripMargin> margin{};
 };
