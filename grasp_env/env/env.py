@@ -660,7 +660,7 @@ def finish(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
             f"an agent's actions change nothing: {reason}. Leave the method at 'reduced_flow' for an agent that adjusts its start, "
             "give it the forces with action_mode='contact_force', or say action_mode='none'"
         )
-    registered = IDS[inner.spec.id][1] if inner.spec is not None else None
+    _, registered = IDS.get(inner.spec.id if inner.spec else "", ("", None))
     while isinstance(layer, gym.Wrapper):
         if isinstance(layer, gym.wrappers.TimeLimit):
             # `layer.spec` has it, too, but keeps the old settings

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
@@ -65,4 +66,13 @@ def test_a_config_replaces_the_problem():
     env: Any = gym.make("grasp_env:UncertainGrasp-v0", config=EnvConfig(), mass=0.3)
     assert not env.unwrapped.config.randomize
     assert env.unwrapped.config.object.mass == 0.3
+    env.close()
+
+
+def test_an_entry_under_another_name():
+    """A user's own entry in the registry, made from ours."""
+    ours = gym.spec("FourFingerGrasp-v0")
+    env: Any = gym.make(replace(ours, id="Heavy-v0", kwargs={"mass": 0.3}, max_episode_steps=20))
+    assert env.unwrapped.config.object.mass == 0.3
+    assert (length(env), env.spec.max_episode_steps) == (20, 20)
     env.close()
