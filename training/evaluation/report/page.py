@@ -197,11 +197,20 @@ def axes(height: float, width: float = WIDTH, rows: int = 1) -> tuple[Figure, An
 
 def legend_above(figure: Figure, columns: int = 2) -> None:
     """Put the legend of a figure above its axes, where it covers no curve, and make room for it."""
-    handles, names = figure.axes[0].get_legend_handles_labels()
+    lines = {
+        name: handle
+        for panel in figure.axes
+        for handle, name in zip(*panel.get_legend_handles_labels(), strict=True)
+    }
     width, height = figure.get_size_inches()
-    figure.set_size_inches(width, height + 0.19 * -(-len(names) // columns))
+    figure.set_size_inches(width, height + 0.19 * -(-len(lines) // columns))
     figure.legend(
-        handles, names, fontsize=8, frameon=False, loc="outside upper center", ncols=columns
+        lines.values(),
+        lines.keys(),
+        fontsize=8,
+        frameon=False,
+        loc="outside upper center",
+        ncols=columns,
     )
 
 
@@ -228,7 +237,7 @@ def svg(figure: Figure) -> str:
 
 
 _INTRO = (
-    "This page shows the results of one command; every number comes from the table rows.csv.xz beside it. Rows with equal keys are "
+    f"This page shows the results of one command; every number comes from the table {ROWS} beside it. Rows with equal keys are "
     "repetitions of one experiment, and the table below summarises them. The columns are defined at the end of this page."
 )
 _SUMMARY_TABLE: tuple[str, str, Make] = (

@@ -139,8 +139,7 @@ def paths_figure(rows: pd.DataFrame, summary: pd.DataFrame) -> Figure:
             panel.tick_params(labelsize=8)
     figure.supxlabel("time [s]", fontsize=9)
     figure.supylabel("normal force [N]", fontsize=9)
-    handles, names = panels[0, 0].get_legend_handles_labels()
-    figure.legend(handles, names, fontsize=8, frameon=False, loc="outside upper center", ncols=2)
+    legend_above(figure)
     return figure
 
 

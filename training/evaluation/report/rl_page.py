@@ -218,14 +218,7 @@ def _curves(rows: pd.DataFrame, column: str, label: str, ending: str) -> Figure 
         panel.set_title(place(environment), loc="left", fontsize=9)
         panel.locator_params(axis="x", nbins=5)
     figure.axes[-1].set(xlabel="environment steps")
-    lines = {
-        text: line
-        for panel in figure.axes
-        for line, text in zip(*panel.get_legend_handles_labels(), strict=True)
-    }
-    figure.legend(
-        lines.values(), lines.keys(), loc="outside upper left", ncols=2, fontsize=8.5, frameon=False
-    )
+    legend_above(figure)
     return figure
 
 
