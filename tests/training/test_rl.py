@@ -263,6 +263,7 @@ def test_finished_and_foreign_runs_are_refused(ppo, sac, tmp_path, capsys):
         ({"seeds": (1, 1)}, "never", False, "seeds must be different"),
         ({"gamma": 1.0}, "never", False, "gamma below 1"),
         ({"env": "{"}, "never", False, "not JSON"),
+        ({"env": "UncertanGrasp"}, "never", False, "did you mean .UncertainGrasp"),
         ({"env": '{"form": 1}'}, "never", False, "form"),
         ({"env": '{"action_mode": "none"}'}, "never", False, "leave it out"),
     ):

@@ -6,7 +6,7 @@ import json
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Literal
 
-from grasp_env.errors import InvalidInputError
+from grasp_env.errors import InvalidInputError, UnknownNameError
 from grasp_env.inputs.arguments import choice, instance, number, whole
 from training.evaluation.results.run import check_counts
 
@@ -30,8 +30,9 @@ class RLConfig:
         env: an environment by name, UncertainGrasp or FragileGrasp, or JSON of settings, as
             keywords of `gym.make`: {"hand": "allegro", "shape": "sphere", "size": [0.06]}. The
             default is the cuboid under a random wrench, with the paper's start and flow.
-        action: empty: that of the environment. Else initial_force (adjusts the solver's start; zero is the paper's), residual (changes
-            the solver's forces), grip (sets its margin) or contact_force (no solver).
+        action: empty: that of the environment. Else initial_force (adjusts the solver's start; zero
+            is the paper's), residual (changes the solver's forces), grip (sets its margin) or
+            contact_force (no solver).
         steps: environment steps per seed, rounded up to whole updates.
         seed: seed of everything random in training.
         seeds: several seeds, with one sub-folder each; empty: `seed` alone.
@@ -116,7 +117,8 @@ class RLConfig:
         """Settings of the environment, as from `EnvConfig.to_dict`.
 
         Raises:
-            InvalidInputError: `env` is no name and not JSON, or holds invalid settings.
+            UnknownNameError: `env` is no environment's name.
+            InvalidInputError: it is not JSON either, or holds invalid settings.
         """
         given = {"action_mode": self.action} if self.action else {}
         return self._environment().override(**given).to_dict()
@@ -131,6 +133,9 @@ class RLConfig:
         try:
             settings = json.loads(self.env)
         except ValueError as error:
+            if self.env.isidentifier():
+                hint = ', or give settings as {"shape": "sphere"}'
+                raise UnknownNameError("environment", self.env, PROBLEMS, hint) from None
             raise InvalidInputError(
                 f'env is not JSON ({error}); give settings as {{"shape": "sphere"}}, or one of {", ".join(PROBLEMS)}'
             ) from None
