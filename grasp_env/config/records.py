@@ -300,8 +300,9 @@ class AgentSettings(Settings):
 class RewardSettings(Settings):
     """Reward of a step: `held` * (1 - c), with c the weighted sum of the costs, each from 0 to 1.
 
-    A step without the object held pays nothing. The weights add up to at most `MAX_COST`, so holding on pays more than letting go for every
-    object, hand, method and discount.
+    A step without the object held pays nothing. The weights add up to at most `MAX_COST`, so a step
+    with the object held always pays. A large weight of the force may still make a light grip that
+    fails earn more than a tight one that holds; then raise `fault_cost`.
 
     Example:
         >>> RewardSettings(iterations=0.8)
