@@ -1430,6 +1430,12 @@ class SimulatedHand:
         """Views of the observed state by name; overwritten in place."""
 
     @property
+    def slid(self) -> Annotated[NDArray[numpy.float64], dict(order='C')]:
+        """
+        View of the distance (N,) that each tip slid on the object since `reset` [m], as it feels it.
+        """
+
+    @property
     def perfect(self) -> bool:
         """True to ignore delay and noise of the sensors."""
 

@@ -136,7 +136,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     | key | name | unit | frame | bound |
     |---|---|---|---|---|
     | `tangential_share` | tangential over normal measured force | 1 | - | 10 |
-    | `sliding` | speed of the fingertip along the object | m/s | - | 10 |
+    | `slid` | distance that the fingertip slid on the object | m | - | 0.1 |
 
     `observation="dict"` gives a `Dict` of the same numbers by their keys.
 

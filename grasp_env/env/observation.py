@@ -31,7 +31,7 @@ def fields(tips: int = 4, joints: int = 12, mode: str = "") -> tuple[Field, ...]
     angular = "object angular velocity minus the desired one"
     felt = (
         Field("tangential_share", "tangential over normal measured force", tips, "1", "-", 10.0),
-        Field("sliding", "speed of the fingertip along the object", tips, "m/s", "-", 10.0),
+        Field("slid", "distance that the fingertip slid on the object", tips, "m", "-", 0.1),
     )
     return (
         Field("force", "wrench to balance: force", 3, "N", "object", 200.0),
@@ -97,7 +97,7 @@ class Observer:
             np.array([loop.friction]),
         ]
         if self._feels:
-            arrays += [self._share, loop.seen.slip]
+            arrays += [self._share, loop.hand.slid]
         self._gather = Gather(arrays, self.bound)
 
     def __call__(self, target: Array) -> tuple[NDArray[np.float32], Outcome]:

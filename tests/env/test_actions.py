@@ -112,15 +112,16 @@ def test_a_grip_sets_the_margin(action, share, preload):
 
 
 def test_a_grip_is_felt():
-    env = made("grip", observation="dict")
+    env = made("grip", observation="dict", controller={"friction_margin": 1.0})
     rng = np.random.default_rng(0)
-    for _ in range(5):
+    farthest = 0.0
+    for _ in range(20):
         observed, _, _, _, info = env.step(rng.uniform(-1.0, 1.0, 2).astype(np.float32))
         force = info["measured_force"]
         share = np.hypot(force[:, 1], force[:, 2]) / force[:, 0]
         np.testing.assert_allclose(observed["tangential_share"], share, rtol=1e-5)
-        np.testing.assert_allclose(observed["sliding"], env.scene.look().slip, rtol=1e-5)
-        assert observed["sliding"].max() == pytest.approx(info["slip"], rel=1e-5)
+        farthest = max(farthest, float(observed["slid"].max()))
+        assert farthest == pytest.approx(info["slip_distance"], rel=1e-4, abs=1e-7)
     env.close()
 
 

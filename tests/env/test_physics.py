@@ -67,9 +67,10 @@ def sliding(env: FourFingerGrasp) -> np.ndarray:
 )
 def test_what_counts_as_held_is_true(limits, fault):
     """Sliding and overlap, from the states of every control tick; each limit tells an episode from
-    a success."""
+    a success. An agent feels the sliding three ticks late."""
     env = FourFingerGrasp(
         disturbance=STRONG,
+        action_mode="grip",
         sensors={"delay": 0.012},
         agent={"rate": 250},
         duration=1.0,
@@ -77,15 +78,21 @@ def test_what_counts_as_held_is_true(limits, fault):
     )
     _, info = env.reset(seed=1)
     way = np.zeros((4, 3))
+    ways = [way]
     slid = 0.0
     overlap = 0.0
     ended = False
     while not ended:
         s = env.scene.look()
-        way += sliding(env) / 250
+        way = way + sliding(env) / 250
+        ways.append(way)
         slid = max(slid, np.linalg.norm(way, axis=1).max())
         overlap = max(overlap, -s.gaps.min())
-        _, _, _, ended, info = env.step(ZERO)
+        observed, _, _, ended, info = env.step(ZERO[:2])
+        late = ways[max(len(ways) - 4, 0)]
+        np.testing.assert_allclose(
+            observed[-4:], np.linalg.norm(late, axis=1), rtol=1e-6, atol=1e-9
+        )
         overlap = max(overlap, -env.scene.look().gaps.min())
         assert info["slip_distance"] == pytest.approx(slid, rel=1e-6, abs=1e-12)
         assert info["overlap"] == pytest.approx(overlap, rel=1e-9)

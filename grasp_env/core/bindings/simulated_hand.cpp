@@ -164,6 +164,11 @@ Arrays seen(nb::handle self) {
   return arrays_of(self, const_cast<Snapshot&>(nb::cast<SimulatedHand&>(self).seen()));
 }
 
+View slid(nb::handle self) {
+  std::vector<double>& numbers = nb::cast<SimulatedHand&>(self).sensors.slid;
+  return view(self, numbers, {numbers.size()});
+}
+
 }  // namespace
 
 void bind_simulated_hand(nb::module_& m) {
@@ -263,6 +268,9 @@ void bind_simulated_hand(nb::module_& m) {
            "effort, and an\n"
            "outcome with its measured forces (N, 3). The arrays are copies.")
       .def("seen", &seen, "Views of the observed state by name; overwritten in place.")
+      .def_prop_ro("slid", &slid,
+                   "View of the distance (N,) that each tip slid on the object since `reset` [m], "
+                   "as it feels it.")
       .def_prop_rw(
           "perfect", [](const SimulatedHand& h) { return h.sensors.perfect; },
           [](SimulatedHand& h, bool value) { h.sensors.perfect = value; },

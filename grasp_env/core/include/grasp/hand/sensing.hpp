@@ -60,9 +60,11 @@ class Sensors {
 
   Sensors(std::shared_ptr<const Scene> scene, const SensorSettings& settings)
       : settings(settings),
+        slid(scene->tree->fingers()),
         scene_(std::move(scene)),
         estimator_(settings.tick, settings.keep),
         seen_(scene_->now),
+        slides_(scene_->tree->fingers()),
         reported_(settings.delay + settings.wrench_delay + 1) {
     if (!exact())  // `perfect` is not set yet
       delayed_.assign(std::max(settings.delay, settings.joint_delay) + 1, seen_);
@@ -76,11 +78,15 @@ class Sensors {
   }
   const Snapshot& seen() const { return exact() ? scene_->now : seen_; }
   Vec6 external{};  // known wrench on the object [N, N m], object frame
+  // (N,) distance that each tip slid on the object since `reset`, as the tip feels it [m]
+  std::vector<double> slid;
 
   void reset() {
     estimator_.reset();
     std::fill(delayed_.begin(), delayed_.end(), scene_->now);
     std::fill(reported_.begin(), reported_.end(), Vec6{});
+    std::fill(slides_.begin(), slides_.end(), Point{});
+    std::fill(slid.begin(), slid.end(), 0.0);
     tick_ = 0;
   }
 
@@ -88,6 +94,7 @@ class Sensors {
   // standard normal numbers if anything is noisy. gravity: as far as known.
   void see(const double* wrench, const double* noise, const Body& body, const Point& gravity) {
     if (!exact()) observe_with_delay(noise);
+    feel(exact() ? scene_->now : ago(settings.delay));
     std::copy(wrench, wrench + 6, reported_[tick_ % reported_.size()].begin());
     ++tick_;
     switch (settings.wrench) {
@@ -107,16 +114,22 @@ class Sensors {
   std::shared_ptr<const Scene> scene_;
   WrenchEstimator estimator_;
   std::vector<Snapshot> delayed_;
-  Snapshot seen_;  // what is seen, unless it is the scene itself
+  Snapshot seen_;              // what is seen, unless it is the scene itself
+  std::vector<Point> slides_;  // (N,) path of each tip on the object [m]
   std::vector<Vec6> reported_;
   std::size_t tick_ = 0;
 
+  const Snapshot& ago(int ticks) const {
+    return delayed_[(tick_ + delayed_.size() - ticks) % delayed_.size()];
+  }
+  void feel(const Snapshot& then) {
+    for (std::size_t i = 0; i < slid.size(); ++i) {
+      if (then.touching[i] > 0.0) slides_[i] += settings.tick * then.sliding[i];
+      slid[i] = length(slides_[i]);
+    }
+  }
   void observe_with_delay(const double* noise) {
-    const std::size_t size = delayed_.size();
-    const auto ago = [&](int ticks) -> const Snapshot& {
-      return delayed_[(tick_ + size - ticks) % size];
-    };
-    delayed_[tick_ % size] = scene_->now;
+    delayed_[tick_ % delayed_.size()] = scene_->now;
     seen_ = ago(settings.delay);
     seen_.angles = ago(settings.joint_delay).angles;
     seen_.rates = ago(settings.joint_delay).rates;
