@@ -11,6 +11,7 @@ from grasp_env.force.initial import InitialForceRule
 from grasp_env.force.objective import Objective
 from grasp_env.force.options import METHODS
 from grasp_env.force.rules import RULES
+from grasp_env.force.saved import is_saved
 from grasp_env.inputs import ranges
 from grasp_env.inputs.ranges import FRICTION_MARGIN, LEAST_NORMAL_FORCE, Range
 from grasp_env.settings import (
@@ -35,6 +36,18 @@ MAX_COST = 0.9
 WEIGHT = Range(0.0, MAX_COST)
 ROUNDING = 1e-12
 """Rounding of the sum of the weights."""
+_RULES = one_of(
+    (*RULES, "previous"),
+    "the path of a model that `grasp fit` saved, or a rule(grasp, wrench) -> (N, 3) forces [N]",
+    callable,
+)
+START = Kind(
+    lambda value, name: (
+        value if isinstance(value, str) and is_saved(value) else _RULES.take(value, name)
+    ),
+    _RULES.text,
+)
+"""Kind of a setting that holds a start rule."""
 _PIXELS = numbers(2, Range(16, 8192))
 
 
@@ -101,8 +114,8 @@ class SolverSettings(Settings):
     method: str = setting("reduced_flow", one_of(METHODS), "Method of the optimisation.")
     initial_force: str | InitialForceRule = setting(
         "linear_combination",
-        one_of((*RULES, "previous"), "a rule(grasp, wrench) -> (N, 3) forces [N]", callable),
-        "Start rule: its name, or any function.",
+        START,
+        "Start rule: its name, a fitted model's path, or any function.",
     )
     force_weight: float = setting(
         1.0,

@@ -13,6 +13,7 @@ from grasp_env.core import Hold
 from grasp_env.errors import InfeasibleStartError, InfeasibleWrenchError, RankDeficientGraspError
 from grasp_env.force import ForceOptimizer, ForceSolution, Margin
 from grasp_env.force.initial import (
+    CompiledRule,
     InitialForceRule,
     StartRequest,
     refused_start,
@@ -24,6 +25,7 @@ from grasp_env.force.objective import Objective
 from grasp_env.force.options import FLOWS
 from grasp_env.force.record import CODE, REFUSED, RESULTS
 from grasp_env.force.rules import RULES, initial_rule
+from grasp_env.force.saved import is_saved, saved_rule
 from grasp_env.force.solution import STATUSES
 from grasp_env.grasp.grasp import Grasp
 from grasp_env.grasp.null_space import reference_basis
@@ -84,9 +86,11 @@ class ForceLoop:
 
     def __init__(self, config: EnvConfig, initial_force: str | InitialForceRule) -> None:
         self.config = config
-        self.initial_force = initial_force
         # a named rule has no start while the grasp is being lost; a user's rule must have one
         named = (InfeasibleStartError,) if isinstance(initial_force, str) else ()
+        if isinstance(initial_force, str) and is_saved(initial_force):
+            initial_force = saved_rule(initial_force)
+        self.initial_force = initial_force
         self._lost_closure = (InfeasibleWrenchError, RankDeficientGraspError, *named)
         self.dt = 1.0 / config.controller.rate
         self._noise: NoiseRows | None = None
@@ -94,13 +98,19 @@ class ForceLoop:
     def __repr__(self) -> str:
         return f"ForceLoop({self.config.solver.method} from {rule_name(self.initial_force)})"
 
-    def begin(self, scene: Scene, mistaken: bool = False) -> None:
+    @property
+    def learned(self) -> bool:
+        """True if a network finds the start, which depends on where the contacts are."""
+        return isinstance(self.initial_force, CompiledRule)
+
+    def begin(self, scene: Scene, held: bool = False) -> None:
         """Prepare everything that depends on the object and the grasp.
 
         Args:
             scene: The scene.
-            mistaken: Assume the friction of the episode, with its error. Otherwise the true one:
-                the hand takes hold of the object without errors.
+            held: The hand holds the object: assume the friction of the episode, with its error, and
+                for a learned start the contacts as they are. Otherwise those planned and the true
+                friction: the hand takes hold of the object without errors.
 
         Raises:
             GraspError: the planned contacts cannot hold an object.
@@ -111,7 +121,7 @@ class ForceLoop:
         controller = config.controller
         self.count = hand.finger_count
         self.scene = scene
-        assumed = hand.tip_friction * (1.0 + (controller.friction_error if mistaken else 0.0))
+        assumed = hand.tip_friction * (1.0 + (controller.friction_error if held else 0.0))
         self._friction = item.friction * assumed
         self._torsional_friction = item.torsional_friction * assumed
         self.margin = Margin(controller.friction_margin, controller.preload)
@@ -119,7 +129,11 @@ class ForceLoop:
         points = np.array(scene.config.contact_points)
         normals = scene.config.contact_normals
         grasp = self.grasp(points, normals)
-        self.optimizer = make_optimizer(grasp, self.margin, config, self.initial_force)
+        nominal = grasp
+        if held and self.learned:
+            now = scene.look()
+            nominal = self.grasp(now.points, now.normals)
+        self.optimizer = make_optimizer(nominal, self.margin, config, self.initial_force)
         settings = control_settings(config)
         settings.remembers = self.optimizer.remembers
         # soft tips on one line have an internal force more

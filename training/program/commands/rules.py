@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from os.path import isfile
-
 from grasp_env.errors import UnknownNameError
 from grasp_env.force.initial import NAMES, InitialForceRule
+from grasp_env.force.saved import is_saved
 
 
 def rule(name: str) -> str | InitialForceRule:
@@ -16,7 +15,7 @@ def rule(name: str) -> str | InitialForceRule:
 
     if name == "learned":
         return LearnedInitialForce.pretrained()
-    if name.endswith((".json", ".safetensors")) or isfile(f"{name}.json"):
+    if is_saved(name):
         return LearnedInitialForce.load(name)
     raise UnknownNameError(
         "initial-force rule", name, (*NAMES, "learned"), ", or give a saved model's path"
