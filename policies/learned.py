@@ -32,6 +32,7 @@ from grasp_env.inputs.files import as_path, file_fault
 from grasp_env.inputs.ranges import Range
 from policies.checkpoint import Checkpoint, replace
 from policies.features import Features
+from policies.places import Places
 
 PRETRAINED = Path(__file__).parent / "pretrained"
 MOST_CONTACTS, MOST_DEGREE = 64, 8
@@ -52,8 +53,9 @@ class LearnedInitialForce:
     never has more Phi than b, at any wrench and for any weights. Optimizers continue from it in the
     same compiled call and certify the solution.
 
-    The weights may be polynomials of the friction (`friction_degree` above 0), evaluated once per
-    grasp.
+    The weights may be polynomials of the friction (`friction_degree` above 0), and of an
+    environment's model they also depend linearly on the displacements of the contacts. They are
+    evaluated once per grasp.
 
     Args:
         checkpoint: weights, normalisation, training range and model card.
@@ -105,22 +107,32 @@ class LearnedInitialForce:
             raise ModelFileError(
                 f"the model is incomplete or malformed ({fault}); train anew with `grasp fit`"
             ) from None
-        powers = self._degree + 1
+        terms = self._degree + 1
         shapes: dict[str, tuple[int, ...]] = {
             "reference": (3 * self.n_contacts, outputs),
             "pairs": (2 * n_lengths, 6),
         }
+        if "positions" in checkpoint.tensors:  # the weights depend on them
+            shapes |= {"positions": (self.n_contacts, 3), "tangents": (self.n_contacts, 2, 3)}
+            terms += 2 * self.n_contacts
         for layer, (a, b) in enumerate(pairwise(self.sizes)):
-            shapes[f"layers.{layer}.weight"] = (powers, b, a)
-            shapes[f"layers.{layer}.bias"] = (powers, b)
+            shapes[f"layers.{layer}.weight"] = (terms, b, a)
+            shapes[f"layers.{layer}.bias"] = (terms, b)
         checkpoint.expect(shapes)
         self.checkpoint = checkpoint
         self.objective = self._trained if objective is None else as_objective(objective)
         self.remembers = flag(remembers, "remembers")
         self._reference = checkpoint.tensors["reference"].astype(np.float64)
+        self._places = (
+            Places(
+                *(checkpoint.tensors[name].astype(np.float64) for name in ("positions", "tangents"))
+            )
+            if "positions" in shapes
+            else None
+        )
         pairs = checkpoint.tensors["pairs"].astype(np.float64).T
         self._pairs = core.Network.make(pairs.shape, np.append(pairs, np.zeros(2 * n_lengths)))
-        self._cached_network: tuple[float, core.Network] | None = None
+        self._cached_network: tuple[bytes, core.Network] | None = None
         self._prepared: _Prepared | None = None
 
     @staticmethod
@@ -249,7 +261,7 @@ class LearnedInitialForce:
         magnitude = magnitude * scale if low <= friction <= high else -1.0
         if self._degree:  # polynomials do not extrapolate
             friction = min(max(friction, low), high)
-        model = core.Model.make(self._network(friction), self._pairs)
+        model = core.Model.make(self._network(self._terms(friction, grasp)), self._pairs)
         model.normalise(**asdict(self.features))
         internal = np.ascontiguousarray(null_space_basis(grasp, self._reference))
         model.place(internal, friction, scale, magnitude)
@@ -261,25 +273,29 @@ class LearnedInitialForce:
         trained = self._trained.weights(count)[0]
         return float(np.sqrt((lambda_ / omega).mean() * trained[0] / trained[1]))
 
-    def _network(self, friction: float) -> core.Network:
-        """Return the network of a friction, cached for the last friction."""
-        cached = self._cached_network  # one tuple, read once: threads may share a rule
-        if cached is None or (cached[0] != friction and self._degree):
-            network = core.Network.make(self.sizes, self._weights(friction))
-            cached = self._cached_network = friction, network
-        return cached[1]
-
-    def _weights(self, friction: float) -> Array:
-        """Return the weights at a friction: per layer the matrix (inputs, outputs), then the bias."""
+    def _terms(self, friction: float, grasp: Grasp) -> Array:
+        """Return the factors of the weights: powers of the friction, then displacements."""
         feature = (friction - self.features.friction_mean) / self.features.friction_scale
         # far outside the training range its powers would overflow
-        feature = min(max(feature, -1e3), 1e3)
-        powers = feature ** np.arange(self._degree + 1)
+        powers = min(max(feature, -1e3), 1e3) ** np.arange(self._degree + 1)
+        return powers if self._places is None else np.append(powers, self._places(grasp))
+
+    def _network(self, terms: Array) -> core.Network:
+        """Return the network of a grasp, cached for the last one."""
+        key = terms.tobytes()
+        cached = self._cached_network  # one tuple, read once: threads may share a rule
+        if cached is None or cached[0] != key:
+            network = core.Network.make(self.sizes, self._weights(terms))
+            cached = self._cached_network = key, network
+        return cached[1]
+
+    def _weights(self, terms: Array) -> Array:
+        """Return the weights: per layer the matrix (inputs, outputs), then the bias."""
         blocks = list[Array]()
         for layer in range(len(self.sizes) - 1):
             for name in ("weight", "bias"):
                 coefficients = self.checkpoint.tensors[f"layers.{layer}.{name}"].astype(np.float64)
-                blocks.append(np.tensordot(powers, coefficients, 1).T.ravel())
+                blocks.append(np.tensordot(terms, coefficients, 1).T.ravel())
         largest = float(np.finfo(np.float32).max)
         return np.concatenate(blocks).clip(-largest, largest)
 

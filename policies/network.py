@@ -37,41 +37,48 @@ def activation(x: Tensor) -> Tensor:
 class Network(nn.Module):
     """Map features (F, B, inputs) to null-space coordinates over the magnitude m, (F, B, outputs).
 
-    The weights are polynomials of the friction, the last feature, which has one value for each of
-    the F rows: each friction has a perceptron.
+    The weights are polynomials of the friction, the last feature, plus terms linear in the
+    displacements of the contacts. Both have one value for each of the F rows: each friction, with
+    its contacts, has a perceptron.
 
     Args:
         inputs, hidden, outputs: widths of the layers.
         degree: degree of the polynomials; 0: the same weights for every friction.
+        moves: number of displacements.
     """
 
-    def __init__(self, inputs: int, hidden: Sequence[int], outputs: int, degree: int) -> None:
+    def __init__(
+        self, inputs: int, hidden: Sequence[int], outputs: int, degree: int, moves: int = 0
+    ) -> None:
         super().__init__()
         self.degree = degree
-        # one matrix per layer: (degree + 1) blocks of inputs + 1 rows, the bias in their last rows
+        self.terms = degree + 1 + moves
+        # one matrix per layer: a block of inputs + 1 rows for each term, the bias in the last row
         self.layers = nn.ParameterList()
         for a, b in pairwise([inputs, *hidden, outputs]):
             plain = nn.Linear(a, b)
-            blocks = torch.zeros(degree + 1, a + 1, b)
+            blocks = torch.zeros(self.terms, a + 1, b)
             blocks[0, :a], blocks[0, a] = plain.weight.detach().T, plain.bias.detach()
             self.layers.append(nn.Parameter(blocks.reshape(-1, b)))
 
-    def forward(self, x: Tensor) -> Tensor:
-        """Apply the network, see the class."""
-        powers = x[:, 0, -1:] ** torch.arange(self.degree + 1)
+    def forward(self, x: Tensor, moves: Tensor | None = None) -> Tensor:
+        """Apply the network to features and displacements (F, moves), see the class."""
+        terms = x[:, 0, -1:] ** torch.arange(self.degree + 1)
+        if moves is not None:
+            terms = torch.cat([terms, moves], 1)
         last = len(self.layers) - 1
         for index, layer in enumerate(self.layers):
-            blocks = (powers @ layer.view(self.degree + 1, -1)).view(len(x), -1, layer.shape[1])
+            blocks = (terms @ layer.view(self.terms, -1)).view(len(x), -1, layer.shape[1])
             x = torch.baddbmm(blocks[:, -1:], x, blocks[:, :-1])
             if index < last:
                 x = activation(x)
         return x
 
     def tensors(self) -> dict[str, Tensor]:
-        """Return "weight" (degree + 1, outputs, inputs) and "bias" (degree + 1, outputs) per layer."""
+        """Return "weight" (terms, outputs, inputs) and "bias" (terms, outputs) per layer."""
         out: dict[str, Tensor] = {}
         for index, layer in enumerate(self.layers):
-            blocks = layer.detach().view(self.degree + 1, -1, layer.shape[1])
+            blocks = layer.detach().view(self.terms, -1, layer.shape[1])
             out[f"layers.{index}.weight"] = blocks[:, :-1].mT
             out[f"layers.{index}.bias"] = blocks[:, -1]
         return out
