@@ -62,3 +62,14 @@ class ZeroPolicy:
 
     def _actions(self, shape: tuple[int, ...]) -> NDArray[np.float32]:
         return np.zeros(shape, dtype=np.float32)
+
+
+class RandomPolicy(ZeroPolicy):
+    """Policy with uniform actions; its generator begins anew with each instance."""
+
+    def __init__(self, action_size: int = 6) -> None:
+        super().__init__(action_size)
+        self._rng = np.random.default_rng(0)
+
+    def _actions(self, shape: tuple[int, ...]) -> NDArray[np.float32]:
+        return self._rng.uniform(-1.0, 1.0, shape).astype(np.float32)

@@ -5,31 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from grasp_env.config import EnvConfig
 from grasp_env.config.env import as_config
 from grasp_env.env.actions import MODES
 from policies import LearnedInitialForce, ZeroPolicy
-from policies.controllers import Policy
+from policies.controllers import Policy, RandomPolicy
 from training.rl.rl_config import RLConfig
 
 MARGINS = (0.85, 0.75, 0.6, 0.5, 0.4, 0.3)
 """Fixed friction margins of the controller."""
 SQUEEZES = (10.0, 20.0, 30.0, 40.0, 60.0, 80.0)
 """Fixed sums of normal forces [N]."""
-
-
-class RandomPolicy(ZeroPolicy):
-    """Policy with uniform actions; its generator begins anew with each instance."""
-
-    def __init__(self, action_size: int) -> None:
-        super().__init__(action_size)
-        self._rng = np.random.default_rng(0)
-
-    def _actions(self, shape: tuple[int, ...]) -> NDArray[np.float32]:
-        return self._rng.uniform(-1.0, 1.0, shape).astype(np.float32)
 
 
 @dataclass(frozen=True)
