@@ -185,6 +185,6 @@ class Stage:
     def _settle(self) -> None:
         self._loop.begin(self.scene)
         take_over(self.scene, self._loop)
-        if self.episode.controller.friction_error:
-            self._loop.begin(self.scene, mistaken=True)
+        if self.episode.controller.friction_error or self._loop.learned:
+            self._loop.begin(self.scene, held=True)
         self._loop.settling = False

@@ -9,23 +9,28 @@ import shutil
 import signal
 import sys
 from collections import namedtuple
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 import torch
+from gymnasium.envs.registration import EnvSpec
 from torch import nn
 
 from grasp_env.errors import GraspError, InvalidInputError, ModelFileError
 from grasp_env.force import ForceOptimizer, Objective, optimize_force
-from grasp_env.grasp import load_grasp, presets
+from grasp_env.grasp import Grasp, load_grasp, presets
 from grasp_env.grasp.null_space import null_space_basis, reference_basis
 from grasp_env.grasp.wrench import sample_ball
 from policies import LearnedInitialForce
 from policies.network import Network
 from training.data.one_grasp import Source, label
+from training.data.played import played
 from training.fit.fit_config import FitConfig
+from training.fit.in_environment import ALONE, BASIS, CASES, PREVIOUS, REPAIRED
 from training.fit.loop import WARM, optimise
 from training.fit.one_grasp import NetworkTask, fit
 from training.fit.soap import Soap
@@ -46,38 +51,46 @@ def _small_scores(monkeypatch):
 
 
 def test_labels_are_optima_and_the_metric_is_the_gap(monkeypatch):
-    monkeypatch.setattr("training.data.one_grasp.CHUNK", 8)
+    monkeypatch.setattr("training.data.one_grasp.CHUNK", 3)
     grasp = presets.paper_cuboid()
     objective = Objective()
-    samples = Source(grasp, (0.1, 20.0), (0.25, 0.6), True).draw(np.random.default_rng(0), 20, 10)
-    data = label(grasp, reference_basis(grasp), objective, *samples)
+    drawn = Source(grasp, (0.1, 20.0), (0.25, 0.6), True).draw(np.random.default_rng(0), 20, 5)
+    data = label(drawn, reference_basis(grasp), objective)
     rng = np.random.default_rng(1)
-    for k in range(20):
-        here = grasp.with_friction(data.friction[k])
-        best = optimize_force(here, data.wrenches[k], method="newton", tolerance=1e-10)
+    for group, here in enumerate(drawn.grasps):
         basis = null_space_basis(here, reference_basis(grasp))
-        particular = -here.pseudoinverse @ data.wrenches[k]
-        force = particular + basis @ data.coordinates[k].astype(float)
-        # coordinates are float32: 1e-7 of the force, a gap of its square times the conditioning
-        assert objective.value(here.to_cone(force)) == pytest.approx(best.objective, rel=1e-6)
-        assert data.least[k] == pytest.approx(best.objective, rel=1e-9)
-        step = rng.normal(size=6)
-        # a predicted gap of 1e-6, deep in the quadratic region
-        step *= 1e-3 / np.linalg.norm(data.metric[k] @ step)
-        exact = basis.T @ (best.force.reshape(-1) - particular)
-        value = objective.value(here.to_cone(particular + basis @ (exact + step)))
-        assert value / best.objective - 1.0 == pytest.approx(1e-6, rel=0.1)
+        for wrench, coordinates, metric, least in zip(
+            drawn.wrenches[group],
+            data.coordinates[group],
+            data.metric[group],
+            data.least[group],
+            strict=True,
+        ):
+            best = optimize_force(here, wrench, method="newton", tolerance=1e-10)
+            particular = -here.pseudoinverse @ wrench
+            force = particular + basis @ coordinates.astype(float)
+            # coordinates are float32: 1e-7 of the force, a gap of its square times the conditioning
+            assert objective.value(here.to_cone(force)) == pytest.approx(best.objective, rel=1e-6)
+            assert least == pytest.approx(best.objective, rel=1e-9)
+            step = rng.normal(size=6)
+            # a predicted gap of 1e-6, deep in the quadratic region
+            step *= 1e-3 / np.linalg.norm(metric @ step)
+            exact = basis.T @ (best.force.reshape(-1) - particular)
+            value = objective.value(here.to_cone(particular + basis @ (exact + step)))
+            assert value / best.objective - 1.0 == pytest.approx(1e-6, rel=0.1)
 
 
 def test_samples_share_the_frictions_and_the_ball():
     source = Source(presets.paper_cuboid(), (10.0, 20.0), (0.25, 0.6), True)
-    wrenches, friction = source.draw(np.random.default_rng(0), 6000, 20)
-    for group, (low, high) in zip(
-        friction.reshape(20, -1), pairwise(np.linspace(0.0, 1.0, 21)), strict=True
+    drawn = source.draw(np.random.default_rng(0), 6000, 20)
+    assert drawn.wrenches.shape == (20, 300, 6)
+    assert drawn.moves.shape == (20, 0)
+    for friction, (low, high) in zip(
+        drawn.friction, pairwise(np.linspace(0.0, 1.0, 21)), strict=True
     ):
-        place = (group[0] - 0.25) / (0.6 - 0.25)
+        place = (friction - 0.25) / (0.6 - 0.25)
         assert low <= 0.7 * place + 0.3 * place**2 <= high  # the density grows from 0.7 to 1.3
-        assert (group == group[0]).all()
+    wrenches = drawn.wrenches.reshape(-1, 6)
     inside = (np.linalg.norm(wrenches[:, :3], axis=1) <= 2.0) & (
         np.linalg.norm(wrenches[:, 3:], axis=1) <= 0.05
     )
@@ -237,11 +250,98 @@ def test_a_grasp_of_a_file_becomes_a_model(contacts, low, tmp_path, capsys):
             - 1.0
         )
     assert np.median(gaps) < 0.1
-    for w in source.draw(np.random.default_rng(6), 200, 1, 0.0)[0] * 100.0:
+    for w in source.loads(np.random.default_rng(6), 200, 1, 0.0)[0][0] * 100.0:
         there = [
             rule.objective.value(grasp.to_cone(solver.start(w))) for solver in (optimizer, own)
         ]
         assert there[0] <= there[1] * (1 + 1e-12)
+
+
+BALL = '{"hand": "three_finger", "shape": "sphere", "size": [0.08], "friction": 0.8}'
+
+
+def test_samples_of_an_environment_are_those_played():
+    """Their contacts move on the object, and their wrenches lie near those of its episodes."""
+    config = FitConfig(env=BALL).resolved()
+    source, seen = config.source(), played(BALL)
+    assert (config.steps, config.force_weight, config.barrier_weight) == (10_000, 1.0, 0.01)
+    # 0.85 is the controller's margin, 5 % the room beside it
+    assert source.frictions == pytest.approx((0.8 * 0.85 / 1.05, 0.8 * 0.85 * 1.05))
+    drawn = source.draw(np.random.default_rng(0), 4000, 40, ball=1.0)
+    wrenches = drawn.wrenches.reshape(-1, 6)
+    spread = seen.wrenches.std(axis=0)
+    np.testing.assert_allclose(
+        wrenches.mean(axis=0), seen.wrenches.mean(axis=0), atol=0.1 * spread.max()
+    )
+    # the variance of a draw from the played ones and that of the noise add up
+    np.testing.assert_allclose(wrenches.std(axis=0), np.sqrt(1.0 + 0.3**2) * spread, rtol=0.1)
+    assert drawn.moves.shape == (40, 6)
+    assert 0.5 < np.abs(drawn.moves).max() <= 1.0
+    for grasp in drawn.grasps:
+        np.testing.assert_allclose(np.linalg.norm(grasp.positions, axis=1), 0.04, rtol=1e-9)
+        np.testing.assert_allclose(grasp.normals, -grasp.positions / 0.04, atol=1e-9)
+        away = np.linalg.norm(grasp.positions - seen.grasp.positions, axis=1)
+        # the nearest point of a sphere is at most this much farther
+        assert away.max() < 3.1e-3
+
+
+def test_a_model_of_an_environment_starts_its_flow(tmp_path, capsys):
+    out = tmp_path / "ball"
+    words = ["fit", "--env", BALL, "--out", str(out), "--steps", "150", "--samples", "20000"]
+    assert main([*words, "--hidden", "32"]) == 0
+    printed = capsys.readouterr().out
+    assert "wrenches like the environment's" in printed
+    assert "contacts moved: iterations of the flow in the environment" in printed
+    model = LearnedInitialForce.load(out)
+    assert model.checkpoint.card["grasp"]["env"] == BALL
+    for case in CASES:
+        scores = model.checkpoint.card["iterations"][case]
+        assert list(scores) == [BASIS, ALONE, REPAIRED, PREVIOUS]
+        assert scores[REPAIRED]["median"] < 0.5 * scores[BASIS]["median"]
+    env: Any = gym.make(
+        "grasp_env:FourFingerGrasp-v0",
+        disturbance="random",
+        initial_force=str(out),
+        **json.loads(BALL),
+    )
+    again = gym.make(EnvSpec.from_json(env.spec.to_json()))  # a path is JSON
+    for each in (env, again):
+        each.reset(seed=0)
+        each.step(np.zeros(each.action_space.shape, np.float32))
+        assert each.unwrapped.solution.initial == "learned_fixed_grasp"
+        each.close()
+    # a displaced contact changes the weights, continuously
+    source = FitConfig(env=BALL).resolved().source()
+    grasp, wrench = source.grasp, source.played[0]
+    moved = Grasp.from_contacts(
+        grasp.positions + 1e-3 * grasp.frames[:, :, 1], grasp.normals, grasp.friction
+    )
+    fixed = LearnedInitialForce(
+        replace(
+            model.checkpoint,
+            tensors={**model.checkpoint.tensors, "positions": moved.positions},
+        )
+    )
+    assert np.abs(model.raw(moved, wrench) - fixed.raw(moved, wrench)).max() > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("env", "message"),
+    [
+        ('{"randomize": ["size"]}', "a model knows one grasp"),
+        ('{"object": {"torsional_friction": 0.01}}', "three and more hard contacts"),
+        ('{"form": 1}', "form"),
+        ("UncertanGrasp", "did you mean .UncertainGrasp"),
+    ],
+)
+def test_environments_without_one_grasp_are_refused(env, message):
+    with pytest.raises(GraspError, match=message):
+        FitConfig(env=env).resolved()
+
+
+def test_contacts_come_from_one_place():
+    with pytest.raises(InvalidInputError, match="leave one of them out"):
+        FitConfig(env=BALL, grasp="mine.json")
 
 
 def test_a_truncated_or_changed_state_is_refused(tmp_path):
@@ -265,7 +365,7 @@ def test_a_truncated_or_changed_state_is_refused(tmp_path):
 WRONG = {
     "seconds": -1.0,
     "samples": 10,
-    "steps": 0,
+    "steps": -1,
     "learning_rate": np.nan,
     "hidden": (),
     "preset": "six_fingers",

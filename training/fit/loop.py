@@ -34,8 +34,9 @@ AT_ONCE = 16
 FLOOR = 1e-6
 """Gap below which a smaller one gains nothing."""
 PERCENTILES = (50, 95, 99)
-Samples = tuple[Tensor, Tensor, Tensor]
-"""Features (F, B, inputs), R m (F, B, K, K) and R z* (F, B, K), by friction.
+Samples = tuple[Tensor, Tensor, Tensor, Tensor]
+"""Displacements (F, moves), features (F, B, inputs), R m (F, B, K, K) and R z* (F, B, K), by
+friction.
 
 With the network's output y the gap to second order is |R m y - R z*|^2.
 """
@@ -60,7 +61,8 @@ class NetworkTask:
 
     def batch(self, rng: np.random.Generator) -> list[Samples]:
         """Draw a batch, in `SHARES` shares."""
-        frictions, count = self._train[0].shape[:2]
+        moves, *samples = self._train
+        frictions, count = samples[0].shape[:2]
         size = self.config.batch_size // AT_ONCE
         # one friction from each part of the range: the gradient of the polynomials varies less
         # between batches
@@ -68,7 +70,10 @@ class NetworkTask:
         begin = rng.integers(0, count - size + 1, AT_ONCE)
         blocks = [(k, slice(b, b + size)) for k, b in zip(chosen, begin, strict=True)]
         return [
-            tuple(torch.stack([data[at] for at in blocks[share::SHARES]]) for data in self._train)
+            (
+                moves[chosen[share::SHARES]],
+                *(torch.stack([data[at] for at in blocks[share::SHARES]]) for data in samples),
+            )
             for share in range(SHARES)
         ]  # type: ignore[misc]
 
@@ -87,9 +92,9 @@ class NetworkTask:
 
 def gaps(network: Network, samples: Samples) -> Tensor:
     """Return the relative gap of Phi (F * B,), to second order."""
-    inputs, metric, goal = samples
+    moves, inputs, metric, goal = samples
     size = goal.shape[-1]
-    outputs = network(inputs).reshape(-1, size, 1)
+    outputs = network(inputs, moves).reshape(-1, size, 1)
     goal = goal.reshape(-1, size, 1)
     errors = torch.baddbmm(goal, metric.reshape(-1, size, size), outputs, beta=-1)
     return errors.square().sum((1, 2))

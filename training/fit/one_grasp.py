@@ -23,16 +23,19 @@ from policies.checkpoint import Checkpoint
 from policies.features import Features, surface_pairs
 from policies.learned import LearnedInitialForce
 from policies.network import Network
-from training.data.one_grasp import BALL, LABEL_GAP, Source, label, with_mean_friction
+from policies.places import Places
+from training.data.environment import environment
+from training.data.one_grasp import BALL, LABEL_GAP, MOVED, label, with_mean_friction
 from training.evaluation.results import provenance
 from training.evaluation.results.words import small
 from training.fit.fit_config import FitConfig
+from training.fit.in_environment import scores_in
 from training.fit.loop import AT_ONCE, PERCENTILES, NetworkTask, Samples, optimise
 from training.fit.scores import scores
 from training.fit.state import FitProgress, StateFile
 
-FRICTIONS = 256
-"""Number of frictions in the data."""
+FRICTIONS, PLACES = 256, 2048
+"""Number of frictions in the data, and of grasps if the contacts move."""
 HELD_OUT, HELD_OUT_SEED = 4096, 77_777
 """Number and seed of the held-out wrenches, the same for every training."""
 MOST_NUMBERS = 60_000_000
@@ -59,10 +62,9 @@ def fit(
         InvalidInputError: before any work, if `out` cannot be written or holds another training.
         KeyboardInterrupt: interrupted; the training so far is kept.
     """
-    config, grasp = config.resolved(), config.contacts()
-    magnitudes = (config.low, config.high)
-    friction = (config.friction_low, config.friction_high)
-    source = Source(grasp, magnitudes, friction, paper=config.grasp is None)
+    config = config.resolved()
+    source = config.source()
+    grasp, magnitudes, friction = source.grasp, source.magnitudes, source.frictions
     contacts = digest(
         *(array.tobytes() for array in (grasp.positions, grasp.normals, grasp.models.friction))
     )
@@ -80,18 +82,20 @@ def fit(
     def labelled(
         generator: np.random.Generator, count: int, groups: int, **keywords: float
     ) -> Samples:
-        wrenches, frictions = source.draw(generator, count, groups, **keywords)
-        data = label(grasp, reference, objective, wrenches, frictions, config.threads)
-        inputs, scale = features(data.wrenches @ grasp.unit_frame.T, data.friction, pairs)
+        drawn = source.draw(generator, count, groups, **keywords)
+        data = label(drawn, reference, objective, config.threads)
+        units = np.array([grasp.unit_frame for grasp in drawn.grasps])
+        loads = (drawn.wrenches @ units.mT).reshape(-1, 6)
+        shape = drawn.wrenches.shape[:2]
+        inputs, scale = features(loads, drawn.friction.repeat(shape[1]), pairs)
+        scale = scale.reshape(shape)
         columns = (
-            inputs,
-            data.metric * scale[:, None, None],
-            np.einsum("bij,bj->bi", data.metric, data.coordinates),
+            drawn.moves,
+            inputs.reshape(*shape, -1),
+            data.metric * scale[..., None, None],
+            np.einsum("fbij,fbj->fbi", data.metric, data.coordinates),
         )
-        return tuple(  # type: ignore[return-value]
-            torch.from_numpy(column.astype(np.float32).reshape(groups, -1, *column.shape[1:]))
-            for column in columns
-        )
+        return tuple(torch.from_numpy(column.astype(np.float32)) for column in columns)  # type: ignore[return-value]
 
     inputs = core.PLAIN_FEATURES + len(pairs) // 2
     outputs = reference.shape[1]
@@ -99,14 +103,15 @@ def fit(
         2 * config.batch_size,
         min(config.samples, MOST_NUMBERS // (inputs + outputs * (outputs + 1))),
     )
-    # every friction has at least the samples that a batch takes of it
-    train = labelled(rng, count, min(FRICTIONS, AT_ONCE * count // config.batch_size))
+    # every group has at least the samples that a batch takes of it
+    groups = FRICTIONS if source.surface is None else PLACES
+    train = labelled(rng, count, min(groups, AT_ONCE * count // config.batch_size))
     held_out = tuple(
         labelled(held_out_rng, HELD_OUT, min(FRICTIONS, HELD_OUT), ball=ball) for ball in (1.0, 0.0)
     )
     torch.manual_seed(config.seed)
-    network = Network(inputs, config.hidden, outputs, config.degree)
-    name = config.preset if config.grasp is None else Path(config.grasp).name
+    network = Network(inputs, config.hidden, outputs, config.degree, train[0].shape[1])
+    name = config.env or (config.preset if config.grasp is None else Path(config.grasp).name)
     words = f"fit {name}{' (quick)' if config.quick else ''}" if progress else ""
     now = optimise(NetworkTask(config, network, train, held_out), state, resume, words)
     checkpoint = Checkpoint(
@@ -114,6 +119,7 @@ def fit(
             **{name: np.ascontiguousarray(value) for name, value in network.tensors().items()},
             "reference": reference,
             "pairs": pairs,
+            **({} if source.surface is None else vars(Places.of(grasp, MOVED))),
         },
         numbers={
             "sizes": [inputs, *config.hidden, outputs],
@@ -129,11 +135,14 @@ def fit(
     model = LearnedInitialForce(checkpoint)
     ball = source.ball(held_out_rng, HELD_OUT)
     nominal = np.full(HELD_OUT, float(grasp.friction.mean()))
+    loads, frictions = source.loads(held_out_rng, HELD_OUT, HELD_OUT, 0.0)
     checkpoint.card["held_out_gap"] = {
         "ball": scores(model, grasp, ball, held_out_rng.uniform(*friction, HELD_OUT), flow=True),
-        "range": scores(model, grasp, *source.draw(held_out_rng, HELD_OUT, HELD_OUT, 0.0)),
+        "range": scores(model, grasp, loads[:, 0], frictions),
         "ball, friction of the grasp": scores(model, grasp, ball, nominal, flow=True),
     }
+    if config.env is not None:
+        checkpoint.card["iterations"] = scores_in(environment(config.env), model)
     return checkpoint
 
 
@@ -147,16 +156,19 @@ def _card(
         "normals": grasp.normals.tolist(),
         "friction": grasp.models.friction.tolist(),
     }
-    source = {"preset": config.preset}
+    source: dict[str, Any] = {"preset": config.preset}
     moment = f"{MOMENT_RADIUS:g} N m about the origin"
     if config.grasp is not None:
         source = {"file": Path(config.grasp).name}
         moment = f"1 N times {1e3 * grasp.length:.3g} mm about the contacts' centre"
+    usual = f"a ball (force {FORCE_RADIUS:g} N, moment {moment})"
+    if config.env is not None:
+        source, usual = {"env": config.env}, "episodes of the environment"
     return {
         "quick": config.quick,
         "what": "initial grasp force of one grasp, from wrench and friction",
         "grasp": {**source, **contacts},
-        "data": f"{count} generated wrenches, {100 * BALL:g} % of them from a ball (force {FORCE_RADIUS:g} N, moment {moment}), "
+        "data": f"{count} generated wrenches, {100 * BALL:g} % of them from {usual}, "
         f"labelled by Newton to a relative gap of {small(LABEL_GAP)}; others held out",
         "command": command,
         "config": asdict(config) | source,

@@ -27,15 +27,24 @@ class Fit(FitConfig):
     Change positions [m], normals (INTO the object) and friction in it. Then:
     `grasp fit --grasp mine.json --out runs/fit/mine`
 
+    To train for the contacts, wrenches and frictions of a simulated hand:
+    `grasp fit --env '{"hand": "allegro", "shape": "sphere", "size": [0.06]}' --out runs/fit/mine`
+
+    Then `gym.make("grasp_env:FourFingerGrasp-v0", ..., initial_force="runs/fit/mine")` starts from
+    it, and `grasp fit` prints the iterations there.
+
     Attributes:
         preset: name of the grasp.
         grasp: JSON file of a grasp instead: at least three hard contacts, round or elliptic.
+        env: an environment instead: UncertainGrasp or another one with a name, or JSON of settings
+            as keywords of `gym.make`. The default is the cuboid under a random wrench.
         out: path of both files, without suffix.
         resume: continue the interrupted training kept beside `out`, with the same settings.
     """
 
     preset: Annotated[str, one_of(PRESETS)] = "paper_cuboid"
     grasp: Annotated[str | None, left_out("the preset", "FILE")] = None
+    env: Annotated[str | None, left_out("the preset", "ENV")] = None
     out: Path = Path("runs/fit/four_finger")
     resume: bool = False
 
@@ -55,11 +64,20 @@ class Fit(FitConfig):
         ball = gaps["ball"]
         flow = gaps["ball, friction of the grasp"]["flow iterations"]
         share = 100 * (ball["newton steps"]["0"] + ball["newton steps"]["1"])
+        usual = "the standard ball" if self.env is None else "wrenches like the environment's"
         console = Console(highlight=False)
         # one line; a terminal wraps it between words
         console.print(
-            f"{path}{' (quick: a rough model)' if self.quick else ''}: on the standard ball a gap of {ball['gap']['median']:.1e} median, "
+            f"{path}{' (quick: a rough model)' if self.quick else ''}: on {usual} a gap of {ball['gap']['median']:.1e} median, "
             f"{ball['gap']['p99']:.1e} p99, {share:.0f} % certified within one Newton step; alone {flow['median']:g} "
             f"iterations of the flow median, {flow['p99']:g} p99",
             soft_wrap=not console.is_terminal,
         )
+        for case, starts in checkpoint.card.get("iterations", {}).items():
+            counts = ", ".join(
+                f"{start} {found['median']:g} / {found['p99']:g}" for start, found in starts.items()
+            )
+            console.print(
+                f"contacts {case}: iterations of the flow in the environment, median / p99: {counts}",
+                soft_wrap=not console.is_terminal,
+            )
