@@ -17,6 +17,7 @@ BENCHMARKS = {
     "scaling": "cost against contacts",
     "batch": "solves per second on one core and on all",
     "env": "steps per second of the environment beside bare PyBullet, resets, memory",
+    "fitted": "iterations of the flow from models of `grasp fit --env`, in their environments",
     "hand_loop": "the controller of a hand in real time against a simulated hand: latencies, what is lost",
     "layer": "the force layer beside cvxpylayers, Moreau's and ProxSuite's: forward and backward, how far answers differ",
     "core": "this checkout beside an earlier one, taking turns on one core: solves, moving contacts, grasps",
