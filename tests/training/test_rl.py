@@ -30,7 +30,7 @@ from training.evaluation.results.shards import map_shards
 from training.evaluation.results.statistics import iqm
 from training.evaluation.results.table import pd, summary
 from training.program.cli import main
-from training.rl.agent import build, first_seed, make_envs
+from training.rl.agent import build, first_seed, make_envs, resting_action
 from training.rl.baselines import GRIPS
 from training.rl.checkpoint import Training
 from training.rl.rl_config import CURVE_SEED, HELD_OUT_SEED, RLConfig
@@ -190,6 +190,62 @@ def test_training_begins_at_the_paper(algorithm, tmp_path):
         if "mean_iterations" in one:
             assert one["mean_iterations"] == pytest.approx(other["mean_iterations"], rel=0.05)
     envs.close()
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "sac"])
+@pytest.mark.parametrize("hand", ["four_finger", "allegro"])
+def test_contact_forces_begin_at_rest(algorithm, hand):
+    """An untrained agent holds the object without a disturbance; equal forces throw it."""
+    env = json.dumps(
+        {"disturbance": "none", "duration": 0.1, "hand": hand, "shape": "sphere", "size": [0.06]}
+    )
+    config = RLConfig(
+        **{**TINY, "env": env}, algorithm=algorithm, action="contact_force"
+    ).resolved()
+    assert config.env_settings["reward"]["fault_cost"] == 0.0
+    envs = make_envs(config.env_settings, config.envs, config.gamma)
+    agent = build(config, envs, 0)
+    plain: Any = envs.venv
+    inner: Any = plain.envs[0].unwrapped
+    action = resting_action(inner)
+    _, info = inner.reset(seed=0)
+    scale = inner.config.agent.action_scale
+    force = scale * action.reshape(-1, 3) + [scale, 0.0, 0.0]
+    grasp = inner._loop.grasp(inner.scene.look().points, inner.scene.look().normals)
+    # at rest the measured forces balance within 1 %
+    assert grasp.residual(force, info["wrench"]) < 0.02 * np.linalg.norm(info["wrench"])
+    assert force[:, 0].max() == pytest.approx(1.5 * scale)
+    assert grasp.cone_margin(force) > 0.0
+    held = []
+    for zeros in (False, True):
+        seen, _ = inner.reset(seed=0)
+        lost = False
+        steps = 0
+        while not lost and steps < 5:
+            acted = (
+                np.zeros(12, np.float32) if zeros else agent.predict(seen, deterministic=True)[0]
+            )
+            seen, _, lost, _, _ = inner.step(acted)
+            steps += 1
+        held.append((steps, lost))
+    assert held[0] == (5, False)
+    assert held[1][1]
+    envs.close()
+
+
+def test_learning_rates_of_ppo_fall_to_a_tenth():
+    config = RLConfig(**TINY).resolved()
+    envs = make_envs(config.env_settings, config.envs, config.gamma)
+    agent = build(config, envs, 0)
+    assert [agent.lr_schedule(left) for left in (1.0, 0.0)] == [1e-3, 1e-4]
+    envs.close()
+
+
+def test_settings_of_the_environment_come_before_usual_ones():
+    """An agent of contact forces has no cost of a fault, unless the environment says so."""
+    cost = RLConfig(action="contact_force", env='{"reward": {"fault_cost": 3.0}}').env_settings
+    assert cost["reward"]["fault_cost"] == 3.0
+    assert RLConfig(action="residual").env_settings["reward"]["fault_cost"] == 10.0
 
 
 def test_the_agent_is_stable_baselines3s(ppo, sac, tmp_path, capsys):
@@ -371,7 +427,7 @@ def test_agents_of_a_named_environment_stand_beside_fixed_grips(tmp_path, capsys
     rows, about = run.load()
     held_out = rows[rows["case"] == "held_out"]
     assert about["agents"][0]["action"] == "grip"
-    assert rl_config.ACTIONS == agent_files.ACTIONS
+    assert tuple(rl_config.ACTIONS) == agent_files.ACTIONS
     assert {*held_out["agent"]} == {"ppo/grip", *GRIPS}
     ends = held_out[held_out["held"].notna()].set_index("agent")
     force = ends["commanded_force"]

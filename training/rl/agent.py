@@ -11,13 +11,19 @@ from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import VecNormalize
 
+from grasp_env.env.env import FourFingerGrasp
 from grasp_env.errors import ModelFileError
+from grasp_env.grasp import Grasp
 from policies.agent_files import ENV_ID
 from training.rl.rl_config import RLConfig
 
 _WIDTHS = [64, 64]
 _MEAN_GAIN = 0.01
 """Gain of the mean action's last layer: stable-baselines3's for PPO, also used for SAC."""
+LAST = 0.1
+"""Learning rate of PPO at the end, as a share of that at the beginning."""
+_SQUEEZE, _INSIDE = 0.75, 0.95
+"""Largest resting force as a share of the range, and largest resting action."""
 _REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 _MOMENTS = ("mean", "var", "count")
 Arrays = dict[str, dict[str, np.ndarray]]
@@ -55,11 +61,37 @@ def first_seed(seed: int, steps: int) -> int:
     return 2**30 + state % (2**30 - 2**10)
 
 
+def resting_action(env: FourFingerGrasp) -> np.ndarray:
+    """Return the action (3N,) of the mode "contact_force" that holds the object at rest.
+
+    The forces balance the weight. They squeeze until one of them reaches `_SQUEEZE` of the largest:
+    the lightest ones that balance slip at the first disturbance.
+    """
+    _, info = env.reset(seed=0)
+    seen = env.scene.look()
+    grasp = Grasp.from_contacts(seen.points, seen.normals, info["object_friction"])
+    least = -np.linalg.pinv(grasp.matrix) @ info["wrench"]
+    internal = info["commanded_force"].reshape(-1) - least
+    scale = env.config.agent.action_scale
+    factors = (2.0 * _SQUEEZE * scale - least[::3]) / np.maximum(internal[::3], 1e-6)
+    force = least + factors.min() * internal
+    force[::3] -= scale
+    return np.clip(force / scale, -_INSIDE, _INSIDE)
+
+
 def build(config: RLConfig, envs: VecNormalize, seed: int) -> PPO | SAC:
-    """Make an untrained agent: mean action nearly zero, exploration `config.deviation`."""
+    """Make an untrained agent with the exploration `config.deviation`.
+
+    Its mean action is nearly zero, or nearly the resting one if it sets the contact forces: with
+    zeros, equal forces, the object leaves the hand at once and there is nothing to learn from.
+    """
     torch.set_num_threads(1)  # more threads do not help networks this small
+    shape: Any = envs.action_space.shape
+    start = np.zeros(shape)
+    if config.action == "contact_force":
+        plain: Any = envs.venv
+        start = resting_action(plain.envs[0].unwrapped)
     common: Any = {
-        "learning_rate": config.learning_rate,
         "gamma": config.gamma,
         "seed": seed,
         "device": "cpu",
@@ -69,13 +101,24 @@ def build(config: RLConfig, envs: VecNormalize, seed: int) -> PPO | SAC:
         rollout = 8 * max(config.rollout // config.envs // 8, 1)
         policy = {"net_arch": _WIDTHS, "log_std_init": math.log(config.deviation)}
         options = {"n_steps": rollout, "batch_size": rollout * config.envs // 8, "n_epochs": 10}
-        return PPO("MlpPolicy", envs, policy_kwargs=policy, **options, **common)
+        agent = PPO(
+            "MlpPolicy",
+            envs,
+            learning_rate=lambda left: (LAST + (1.0 - LAST) * left) * config.learning_rate,
+            policy_kwargs=policy,
+            **options,
+            **common,
+        )
+        with torch.no_grad():
+            agent.policy.action_net.bias.copy_(torch.as_tensor(start))
+        return agent
     # entropy of a normal distribution with that deviation; SAC's temperature keeps the exploration
     # there
     entropy = math.log(config.deviation * math.sqrt(2.0 * math.pi * math.e))
     agent = SAC(
         "MlpPolicy",
         envs,
+        learning_rate=config.learning_rate,
         buffer_size=config.buffer,
         learning_starts=config.warmup,
         batch_size=256,
@@ -83,13 +126,13 @@ def build(config: RLConfig, envs: VecNormalize, seed: int) -> PPO | SAC:
         gradient_steps=max(config.envs // 2, 1),
         ent_coef="auto_0.01",
         tau=0.01,
-        target_entropy=entropy * envs.action_space.shape[0],  # type: ignore[index]
+        target_entropy=entropy * shape[0],
         policy_kwargs={"net_arch": _WIDTHS},
         **common,
     )
     with torch.no_grad():
         torch.nn.init.orthogonal_(agent.actor.mu.weight, _MEAN_GAIN)  # type: ignore[arg-type]
-        agent.actor.mu.bias.zero_()  # type: ignore[operator, union-attr]
+        agent.actor.mu.bias.copy_(torch.as_tensor(np.arctanh(start)))  # type: ignore[operator, union-attr]
         agent.actor.log_std.weight.mul_(_MEAN_GAIN)  # type: ignore[operator, union-attr]
         agent.actor.log_std.bias.fill_(math.log(config.deviation))  # type: ignore[operator, union-attr]
     return agent

@@ -2,19 +2,48 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, Literal
 
-from grasp_env.errors import InvalidInputError, UnknownNameError
+from grasp_env.errors import InvalidInputError
 from grasp_env.inputs.arguments import choice, instance, number, whole
+from training.data.environment import environment
 from training.evaluation.results.run import check_counts
 
 if TYPE_CHECKING:
     from grasp_env.config import EnvConfig
 
-ACTIONS = ("initial_force", "residual", "grip", "contact_force")
-"""Action modes of agents."""
+
+@dataclass(frozen=True)
+class Usual:
+    """Usual settings of a training in an action mode.
+
+    Attributes:
+        gamma: discount.
+        deviation: initial standard deviation of the exploration.
+        rates: learning rates of Adam by algorithm.
+        settings: settings of the environment.
+    """
+
+    gamma: float
+    deviation: float
+    rates: dict[str, float]
+    settings: dict[str, Any] = field(default_factory=dict)
+
+
+ACTIONS: dict[str, Usual] = {
+    # an action affects only the iterations of its own step
+    "initial_force": Usual(0.0, 0.1, {"ppo": 1e-3, "sac": 5e-4}),
+    "residual": Usual(0.95, 0.1, {"ppo": 3e-4, "sac": 5e-4}),
+    # a fingertip slides slowly: its fault comes long after the grip that caused it
+    "grip": Usual(0.99, 0.3, {"ppo": 3e-4, "sac": 5e-4}),
+    # an episode ends at the first fault, which costs all later rewards; a further cost hides how
+    # long the object was held before it
+    "contact_force": Usual(0.95, 0.1, {"ppo": 5e-4, "sac": 5e-4}, {"reward.fault_cost": 0.0}),
+}
+"""Action modes of agents, and their usual settings."""
+_SET = {"action_mode": "action"}
+"""Settings of the environment that options set."""
 HELD_OUT_SEED = 1_000_000
 """First seed of the episodes that score agents; the seeds of training are at least 2**30."""
 CURVE_SEED = 2_000_000
@@ -44,11 +73,12 @@ class RLConfig:
         rollout: ppo: steps between updates.
         warmup: sac: steps with random actions before the first update.
         buffer: sac: transitions in the replay buffer.
-        learning_rate: learning rate of Adam; 0: 1e-3 for ppo, 5e-4 for sac.
+        learning_rate: learning rate of Adam, for ppo falling linearly to a tenth; 0: 1e-3 for ppo that
+            adjusts the start, 3e-4 to 5e-4 for the others.
         gamma: discount; negative: 0 for initial_force, where an action affects only the iterations
-            of its own step, 0.97 for the others.
-        deviation: initial standard deviation of the exploration, for actions in [-1, 1]; 0: 0.1
-            (0.5 N) for initial_force, 0.3 for the others.
+            of its own step, 0.99 for grip, 0.95 for the others.
+        deviation: initial standard deviation of the exploration, for actions in [-1, 1]; 0: 0.3 for
+            grip, 0.1 (0.5 N) for the others.
         quick: a small version that ends within a minute; its report is marked as quick.
     """
 
@@ -92,14 +122,14 @@ class RLConfig:
     def resolved(self) -> RLConfig:
         """Return the settings with every default filled in, and smaller counts if `quick`."""
         action = self.action or self._environment().agent.action_mode
-        force = action == "initial_force"
+        usual = ACTIONS[action]
         full = replace(
             self,
             action=action,
             seeds=tuple(self.seeds) or (self.seed,),
-            learning_rate=self.learning_rate or {"ppo": 1e-3, "sac": 5e-4}[self.algorithm],
-            gamma=self.gamma if self.gamma >= 0.0 else (0.0 if force else 0.97),
-            deviation=self.deviation or (0.1 if force else 0.3),
+            learning_rate=self.learning_rate or usual.rates[self.algorithm],
+            gamma=self.gamma if self.gamma >= 0.0 else usual.gamma,
+            deviation=self.deviation or usual.deviation,
         )
         if not self.quick:
             return full
@@ -120,30 +150,13 @@ class RLConfig:
             UnknownNameError: `env` is no environment's name.
             InvalidInputError: it is not JSON either, or holds invalid settings.
         """
-        given = {"action_mode": self.action} if self.action else {}
-        return self._environment().override(**given).to_dict()
+        return self._environment().to_dict()
 
     def _environment(self) -> EnvConfig:
-        """Return the settings of the environment with the action mode of its own."""
-        from grasp_env.config import EnvConfig  # needs the extra sim
-        from grasp_env.env.named import PROBLEMS
-
-        if (name := self.env.removesuffix("-v0")) in PROBLEMS:
-            return PROBLEMS[name].settings()
-        try:
-            settings = json.loads(self.env)
-        except ValueError as error:
-            if self.env.isidentifier():
-                hint = ', or give settings as {"shape": "sphere"}'
-                raise UnknownNameError("environment", self.env, PROBLEMS, hint) from None
-            raise InvalidInputError(
-                f'env is not JSON ({error}); give settings as {{"shape": "sphere"}}, or one of {", ".join(PROBLEMS)}'
-            ) from None
-        if "action_mode" in instance(settings, dict, "env"):
-            raise InvalidInputError(
-                f"env has action_mode {settings['action_mode']!r}: leave it out, action sets it"
-            )
-        return EnvConfig().override(**{"disturbance": "random", **settings})
+        if not self.action:  # that of the environment
+            return environment(self.env, elsewhere=_SET)
+        config = environment(self.env, ACTIONS[self.action].settings, _SET)
+        return config.override(action_mode=self.action)
 
     @property
     def sizes(self) -> dict[str, int]:
