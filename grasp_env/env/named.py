@@ -11,6 +11,8 @@ from grasp_env.sim.engine import engine_of
 
 _RATE = 1000
 """Rate of control and physics [Hz]."""
+_FRICTION = (0.4, 0.7)
+"""Range of the true friction: a constant one would show the error of the friction believed in."""
 _IMPERFECT: dict[str, Any] = {
     "disturbance": "random",
     "duration": 4.0,
@@ -58,7 +60,7 @@ class UncertainGrasp(_Named):
 
     ## Observation space
     `Box(-bound, bound, (91,), float32)`: as of `FourFingerGrasp`, with `tangential_share` and
-    `sliding` of each fingertip. The true friction is not among them.
+    `slid` of each fingertip. The true friction is not among them.
 
     ## Rewards
     A step after which the object is held pays 1 less the costs: 0.6 times the share of the force
@@ -91,7 +93,11 @@ class UncertainGrasp(_Named):
 
     problem: ClassVar[dict[str, Any]] = {
         **_IMPERFECT,
-        "randomize": {"mass": (0.1, 0.4), "controller.friction_error": (0.0, 0.4)},
+        "randomize": {
+            "mass": (0.1, 0.4),
+            "friction": _FRICTION,
+            "controller.friction_error": (0.0, 0.4),
+        },
         "motors": {"noise": 0.05, "gain_error": 0.05},
     }
 
@@ -111,7 +117,7 @@ class FragileGrasp(_Named):
 
     ## Observation space
     `Box(-bound, bound, (91,), float32)`: as of `FourFingerGrasp`, with `tangential_share` and
-    `sliding` of each fingertip. The true friction is not among them.
+    `slid` of each fingertip. The true friction is not among them.
 
     ## Rewards
     As of `UncertainGrasp`.
@@ -144,7 +150,7 @@ class FragileGrasp(_Named):
     problem: ClassVar[dict[str, Any]] = {
         **_IMPERFECT,
         "object": {"shape": "sphere", "size": (0.05,), "mass": 0.06},
-        "randomize": {"controller.friction_error": (-0.3, 0.3)},
+        "randomize": {"friction": (0.3, 0.5), "controller.friction_error": (-0.3, 0.3)},
         "motors": {"noise": 0.05},
         "limits": {"max_force": 8.0, "end_at_fault": True},
     }
