@@ -36,7 +36,7 @@ ACTIONS: dict[str, Usual] = {
     "initial_force": Usual(0.0, 0.1, {"ppo": 1e-3, "sac": 5e-4}),
     "residual": Usual(0.95, 0.1, {"ppo": 3e-4, "sac": 5e-4}),
     # a fingertip slides slowly: its fault comes long after the grip that caused it
-    "grip": Usual(0.99, 0.3, {"ppo": 3e-4, "sac": 5e-4}),
+    "grip": Usual(0.97, 0.3, {"ppo": 3e-4, "sac": 5e-4}),
     # an episode ends at the first fault, which costs all later rewards; a further cost hides how
     # long the object was held before it
     "contact_force": Usual(0.95, 0.1, {"ppo": 5e-4, "sac": 5e-4}, {"reward.fault_cost": 0.0}),
@@ -76,7 +76,7 @@ class RLConfig:
         learning_rate: learning rate of Adam, for ppo falling linearly to a tenth; 0: 1e-3 for ppo that
             adjusts the start, 3e-4 to 5e-4 for the others.
         gamma: discount; negative: 0 for initial_force, where an action affects only the iterations
-            of its own step, 0.99 for grip, 0.95 for the others.
+            of its own step, 0.97 for grip, 0.95 for the others.
         deviation: initial standard deviation of the exploration, for actions in [-1, 1]; 0: 0.3 for
             grip, 0.1 (0.5 N) for the others.
         quick: a small version that ends within a minute; its report is marked as quick.
