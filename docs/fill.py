@@ -31,7 +31,7 @@ from training.evaluation.compare.scenarios import short_name
 from training.evaluation.report import errors_page, holds_page, starts_page
 from training.evaluation.report.page import cell, claims_of
 from training.evaluation.report.reproduce_page import RULES
-from training.evaluation.report.rl_page import AGENTS, SPEEDS, place
+from training.evaluation.report.rl_page import AGENTS, SPEEDS, label_of, place, squeeze_saved
 from training.evaluation.report.starts_page import pair
 from training.evaluation.results.claims import Verdict, judge
 from training.evaluation.results.run import Run
@@ -46,6 +46,7 @@ from training.evaluation.results.table import (
     write_summary,
 )
 from training.evaluation.results.words import number
+from training.fit.in_environment import BASIS, CASES, REPAIRED
 
 ROOT = Path(__file__).parents[1]
 RESULTS = Path(__file__).parent / "results"
@@ -249,36 +250,56 @@ def table_one() -> str:
     return markdown("reproduce", pd.DataFrame(rows))
 
 
+def fitted() -> str:
+    """Return iterations in environments from the starts that a fitted model competes with."""
+    means = saved("fitted")[0]
+    rows = []
+    for environment in means["environment"].unique():
+        for case in CASES:
+            here = chosen(means, f"case == '{case}'")
+            starts = here[here["environment"] == environment].set_index("start")
+            counts = {
+                start: " / ".join(cell(row[f"iterations_{name}"]) for name in ("median", "p99"))
+                for start, row in starts.iterrows()
+            }
+            shares = (
+                starts.loc[REPAIRED, f"iterations_{name}"] / starts.loc[BASIS, f"iterations_{name}"]
+                for name in ("median", "p99")
+            )
+            rows.append(
+                {"environment": place(environment), "contacts": case}
+                | counts
+                | {"repaired network, of the 12-basis's": " / ".join(map(cell, shares))}
+            )
+    return markdown("fitted", pd.DataFrame(rows))
+
+
 def rl() -> str:
-    """Return agents, the paper's start, the previous solution and the learned start."""
+    """Return agents beside the policies that learn nothing."""
     means = chosen(saved("rl")[0], "case == 'held_out'")
     rows = []
     for environment in means["environment"].unique():
         here = means[means["environment"] == environment].set_index("agent")
-        zero = here.loc["zero"]
-        for agent, (label, _) in AGENTS.items():
-            if agent not in here.index:
+        for agent in here.index:
+            if agent.startswith(("squeeze", "random")):
                 continue
+            label = label_of(agent)
             row = here.loc[agent]
             held = "none"
             if row["held_mean"]:
                 held = f"{row['held_sum']:.0f} of {row['held_sum'] / row['held_mean']:.0f}"
-            savings = (
-                100.0 * (1.0 - row[f"{name}_mean"] / zero[f"{name}_mean"])
-                for name in ("commanded_force", "torque_share")
-            )
-            iterations = (row[f"iterations_{name}"] for name in ("median", "p95", "p99"))
+            counts = "–"
+            if not pd.isna(row["iterations_median"]):
+                counts = " / ".join(cell(row[f"iterations_{name}"]) for name in ("median", "p99"))
+            share = 100.0 * squeeze_saved(here, agent) if "/" in agent else None
             rows.append(
                 {
                     "environment": place(environment),
                     "policy": label,
                     "held": held,
-                    "iterations, median / p95 / p99": " / ".join(map(cell, iterations)),
-                    "relative to the paper": row["mean_iterations_median"]
-                    / zero["mean_iterations_median"],
-                    "force / torque saved [%]": " / ".join(
-                        f"{saving:.1f}" for saving in savings
-                    ).replace("-0.0", "0.0"),
+                    "squeeze [N]": row["commanded_force_mean"],
+                    "squeeze saved [%]": share,
+                    "iterations, median / p99": counts,
                     "return, interquartile mean": row["return_iqm"],
                 }
             )
@@ -502,6 +523,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "step_rules": step_rules,
     "layer": layer,
     "table_one": table_one,
+    "fitted": fitted,
     "rl": rl,
     "rl_speed": rl_speed,
 }

@@ -28,6 +28,8 @@ FIRST_SEED = 2**29
 """First seed of these episodes, which are not those that score."""
 ONE_GRASP = 3e-3
 """Deviation from their mean that 95 % of the contacts of one grasp do not exceed [m]."""
+LEAST_SIZE = 0.01
+"""Least norm of a wrench [N]; below it the optimum is nearly that without a wrench."""
 WIDER = 1.05
 """Factor by which the range of the friction is widened."""
 
@@ -116,11 +118,13 @@ def played(text: str) -> Played:
     grasp = Grasp.from_contacts(middle, inward, float(friction.mean()))
     loads = np.array(wrenches)
     sizes = np.linalg.norm(loads @ grasp.unit_frame.T, axis=1)
+    least = max(0.5 * float(sizes.min()), LEAST_SIZE)
+    magnitudes = least, max(2.0 * float(sizes.max()), 10.0 * least)
     return Played(
         grasp,
         loads,
         (float(friction.min()) / WIDER, float(friction.max()) * WIDER),
-        (0.5 * float(sizes.min()), 2.0 * float(sizes.max())),
+        magnitudes,
         objective,
         given.object.surface,
     )

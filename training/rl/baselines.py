@@ -57,6 +57,12 @@ GRIPS = {
         f"margin {margin:g}": Baseline({"controller.friction_margin": margin}) for margin in MARGINS
     },
     **{
+        f"margin {margin:g}, no preload": Baseline(
+            {"controller.friction_margin": margin, "controller.preload": 0.0}
+        )
+        for margin in MARGINS
+    },
+    **{
         f"squeeze {squeeze:g} N": Baseline(
             {
                 "controller.kind": "constant_squeeze",

@@ -39,7 +39,7 @@ ACTIONS: dict[str, Usual] = {
     "grip": Usual(0.97, 0.3, {"ppo": 3e-4, "sac": 5e-4}),
     # an episode ends at the first fault, which costs all later rewards; a further cost hides how
     # long the object was held before it
-    "contact_force": Usual(0.95, 0.1, {"ppo": 5e-4, "sac": 5e-4}, {"reward.fault_cost": 0.0}),
+    "contact_force": Usual(0.95, 0.1, {"ppo": 1e-3, "sac": 5e-4}, {"reward.fault_cost": 0.0}),
 }
 """Action modes of agents, and their usual settings."""
 _SET = {"action_mode": "action"}
@@ -73,8 +73,8 @@ class RLConfig:
         rollout: ppo: steps between updates.
         warmup: sac: steps with random actions before the first update.
         buffer: sac: transitions in the replay buffer.
-        learning_rate: learning rate of Adam, for ppo falling linearly to a tenth; 0: 1e-3 for ppo that
-            adjusts the start, 3e-4 to 5e-4 for the others.
+        learning_rate: learning rate of Adam, for ppo falling linearly to a tenth; 0: 5e-4 for sac,
+            for ppo 3e-4 for grip and residual, 1e-3 for the others.
         gamma: discount; negative: 0 for initial_force, where an action affects only the iterations
             of its own step, 0.97 for grip, 0.95 for the others.
         deviation: initial standard deviation of the exploration, for actions in [-1, 1]; 0: 0.3 for

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterable
 from typing import Any
 
@@ -30,10 +31,11 @@ AGENTS = {
 }
 """Label and colour of every policy, in the order of the tables."""
 FIXED: dict[str, dict[str, Any]] = {
-    "margin": {"fmt": "o-", "color": "#5a6472", "label": "fixed margins"},
-    "squeeze": {"fmt": "s:", "color": "#b08d57", "label": "constant squeezes"},
+    r"margin [\d.]+": {"fmt": "o-", "color": "#5a6472", "label": "fixed margins"},
+    r"margin [\d.]+, no preload": {"fmt": "^--", "color": "#9aa3ad", "label": "without preload"},
+    r"squeeze .*": {"fmt": "s:", "color": "#b08d57", "label": "constant squeezes"},
 }
-"""Look of the fixed grips, by the beginning of their names."""
+"""Look of the fixed grips, by patterns of their names."""
 SPEEDS = ("environment alone", "with inference", "with training")
 """Cases measured in steps per second."""
 TITLE = "Agents beside the paper's start"
@@ -83,20 +85,24 @@ def place(environment: str) -> str:
         'UncertainGrasp'
         >>> place('{"shape": "sphere", "hand": {"name": "allegro"}}'), place('{"hand": "leap"}'), place("{}")
         ('sphere, allegro', 'cuboid, leap', 'cuboid')
+        >>> place('{"reward": {"force": 0.6}}')
+        'cuboid, squeeze costs 0.6'
     """
     if not environment.startswith("{"):
         return environment
     settings = json.loads(environment)
     shape = settings.get("shape") or settings.get("object", {}).get("shape", "cuboid")
     hand = settings.get("hand", "")
-    return ", ".join(filter(None, (str(shape), hand["name"] if isinstance(hand, dict) else hand)))
+    cost = settings.get("reward", {}).get("force")
+    words = (str(shape), hand["name"] if isinstance(hand, dict) else hand)
+    return ", ".join(filter(None, (*words, cost and f"squeeze costs {cost:g}")))
 
 
 def squeeze_saved(scores: pd.DataFrame, agent: str) -> float:
     """Return the share of the squeeze that an agent saves against what learns nothing.
 
-    That is the fixed margin that holds as many episodes, between two of them by interpolation, or
-    without fixed margins the zero policy.
+    That is the lightest fixed margin, with or without preload, that holds as many episodes, between
+    two of them by interpolation; or the zero policy if no fixed margins were played.
 
     Args:
         scores: summary of the held-out episodes of one environment, its index the agents.
@@ -172,7 +178,7 @@ def scores_text(rows: pd.DataFrame) -> str:
     """Return the scores of every policy as text, for a terminal."""
     scores = scores_table(rows, summary(rows))
     shown = ["environment", "policy", "held", "squeeze [N]", "squeeze saved [%]", "return"]
-    return scores[shown].to_string(index=False)
+    return scores[shown].to_string(index=False, na_rep="", float_format=number)
 
 
 def training_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
@@ -268,7 +274,10 @@ def front_figure(rows: pd.DataFrame, summary: pd.DataFrame) -> Figure | None:
     figure, panels = axes(0.9 + 2.6 * len(played), rows=len(played))
     for panel, (environment, scores) in zip(np.atleast_1d(panels), played.items(), strict=True):
         for kind, look in FIXED.items():
-            fixed = pd.concat([row for agent, row in scores.items() if agent.startswith(kind)])
+            found = [row for agent, row in scores.items() if re.fullmatch(kind, agent)]
+            if not found:
+                continue
+            fixed = pd.concat(found)
             _plot_rates(panel, fixed.sort_values("commanded_force_mean"), **look)
         for agent, row in scores.items():
             if "/" in agent:
@@ -322,8 +331,8 @@ TABLES = (
     (
         "Scores on the held-out episodes",
         "Iterations: median / p95 / p99. Of the paper's: ratio of the medians per episode. Return: "
-        "interquartile mean. Squeeze saved: against the fixed margin that holds as many episodes (between two of them by interpolation), "
-        "or without fixed margins against the zero policy. Intervals are 95 %: Wilson for the rate, bootstrap for the rest. Agents see the wrench of the control tick "
+        "interquartile mean. Squeeze saved: against the lightest fixed margin, with or without preload, that holds as many episodes (between two of them by "
+        "interpolation), or against the zero policy where no fixed margins were played. Intervals are 95 %: Wilson for the rate, bootstrap for the rest. Agents see the wrench of the control tick "
         "before; the solver, with the learned start and the previous solution, sees the current one. Agents without solver make no "
         "iterations. The paper's start replaces the shipped learned start on contacts that it does not know.",
         scores_table,
