@@ -291,14 +291,14 @@ def rl() -> str:
             counts = "–"
             if not pd.isna(row["iterations_median"]):
                 counts = " / ".join(cell(row[f"iterations_{name}"]) for name in ("median", "p99"))
-            share = 100.0 * squeeze_saved(here, agent) if "/" in agent else None
+            share = 100.0 * squeeze_saved(here, agent) if "/" in agent else float("nan")
             rows.append(
                 {
                     "environment": place(environment),
                     "policy": label,
                     "held": held,
                     "squeeze [N]": row["commanded_force_mean"],
-                    "squeeze saved [%]": share,
+                    "squeeze saved [%]": "–" if pd.isna(share) else cell(share),
                     "iterations, median / p99": counts,
                     "return, interquartile mean": row["return_iqm"],
                 }

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from grasp_env.errors import InvalidInputError
 from grasp_env.force.initial import InitialForceRule
@@ -41,12 +43,16 @@ _RULES = one_of(
     "the path of a model that `grasp fit` saved, or a rule(grasp, wrench) -> (N, 3) forces [N]",
     callable,
 )
-START = Kind(
-    lambda value, name: (
-        value if isinstance(value, str) and is_saved(value) else _RULES.take(value, name)
-    ),
-    _RULES.text,
-)
+
+
+def _start(value: Any, name: str) -> Any:
+    path = os.fspath(value) if isinstance(value, os.PathLike) else value
+    if isinstance(path, str) and (path is not value or is_saved(path)):
+        return path
+    return _RULES.take(value, name)
+
+
+START = Kind(_start, _RULES.text)
 """Kind of a setting that holds a start rule."""
 _PIXELS = numbers(2, Range(16, 8192))
 

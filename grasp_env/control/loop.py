@@ -26,10 +26,10 @@ from grasp_env.force.options import FLOWS
 from grasp_env.force.record import CODE, REFUSED, RESULTS
 from grasp_env.force.rules import RULES, initial_rule
 from grasp_env.force.saved import is_saved, saved_rule
-from grasp_env.force.solution import STATUSES
+from grasp_env.force.solution import GIVEN, STATUSES
 from grasp_env.grasp.grasp import Grasp
 from grasp_env.grasp.null_space import reference_basis
-from grasp_env.inputs.arguments import Array, Indices
+from grasp_env.inputs.arguments import Array, Indices, warn
 from grasp_env.sim.objects.description import ObjectDescription
 from grasp_env.sim.scene import Scene
 from grasp_env.sim.snapshot import Snapshot
@@ -86,12 +86,14 @@ class ForceLoop:
 
     def __init__(self, config: EnvConfig, initial_force: str | InitialForceRule) -> None:
         self.config = config
-        # a named rule has no start while the grasp is being lost; a user's rule must have one
-        named = (InfeasibleStartError,) if isinstance(initial_force, str) else ()
-        if isinstance(initial_force, str) and is_saved(initial_force):
+        self._saved = isinstance(initial_force, str) and is_saved(initial_force)
+        if isinstance(initial_force, str) and self._saved:
             initial_force = saved_rule(initial_force)
         self.initial_force = initial_force
-        self._lost_closure = (InfeasibleWrenchError, RankDeficientGraspError, *named)
+        # our rules have no start while the grasp is being lost; a user's rule must have one
+        self._ours = isinstance(initial_force, str) or self.learned
+        unstarted = (InfeasibleStartError,) if self._ours else ()
+        self._lost_closure = (InfeasibleWrenchError, RankDeficientGraspError, *unstarted)
         self.dt = 1.0 / config.controller.rate
         self._noise: NoiseRows | None = None
 
@@ -134,6 +136,12 @@ class ForceLoop:
             now = scene.look()
             nominal = self.grasp(now.points, now.normals)
         self.optimizer = make_optimizer(nominal, self.margin, config, self.initial_force)
+        known = getattr(self.initial_force, "n_contacts", self.count)
+        if self._saved and known != self.count and not held:
+            warn(
+                f"the fitted start {config.solver.initial_force} knows {known} contacts, the hand has {self.count}: "
+                "the solver uses its own start; fit one with `grasp fit --env`"
+            )
         settings = control_settings(config)
         settings.remembers = self.optimizer.remembers
         # soft tips on one line have an internal force more
@@ -203,10 +211,11 @@ class ForceLoop:
         """The method's last solution, or None."""
         if self.controller.code not in RESULTS:
             return None
-        row = self._row.copy()
+        row, names = self._row.copy(), self.optimizer.names
         if self._start is not None:
             self._start.mark(row)
-        return ForceSolution(row, self.optimizer.names)
+            names = names.of_start(GIVEN, self._start.name)
+        return ForceSolution(row, names)
 
     @property
     def status(self) -> str:
@@ -268,7 +277,9 @@ class ForceLoop:
         if asked.forces is not None and self._held != Hold.direct:
             self._hold(Hold.direct)
         noise = None if self._noise is None else self._noise()
-        by_rule = due and self._needs_rule
+        by_rule = due and (self._needs_rule or self._moves_margin(asked))
+        if due:
+            self._start = None
         if by_rule:
             self._row[CODE] = REFUSED  # no stale solution is left if the rule fails
         if not self.hand.see(reading, external, gravity, target, noise):
@@ -279,6 +290,12 @@ class ForceLoop:
         if not due:
             return self.controller.act(False)
         return self._from_rule(asked) if by_rule else self._begin(asked, None)
+
+    def _moves_margin(self, asked: AgentRequest) -> bool:
+        """Return True if a learned start is asked for another friction than that of its network."""
+        if asked.margin is None or not self.learned or self._held != Hold.optimized:
+            return False
+        return float(asked.margin[0]) != self.margin.friction
 
     def _begin(self, asked: AgentRequest, start: Array | None) -> list[float]:
         return self.controller.act(
@@ -302,7 +319,7 @@ class ForceLoop:
         force[touching] = start.force
         self._start = start
         torques = self._begin(asked, force)
-        if self.controller.code == REFUSED and not isinstance(self.initial_force, str):
+        if self.controller.code == REFUSED and not self._ours:
             raise refused_start(problem, start, None)
         return torques
 

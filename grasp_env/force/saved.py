@@ -6,16 +6,26 @@ from importlib.metadata import entry_points
 from os.path import isfile
 
 from grasp_env.errors import MissingExtraError
-from grasp_env.force.initial import InitialForceRule
+from grasp_env.force.initial import NAMES, InitialForceRule
 
 READERS = "grasp_force.starts"
-"""Group of entry points of packages: functions that read a rule from a path."""
+"""Group of the entry point that reads a rule from a path."""
 _SUFFIXES = (".json", ".safetensors")
 
 
 def is_saved(name: str) -> bool:
-    """Return True for the path of a saved rule, with or without the suffix of one of its files."""
-    return name.endswith(_SUFFIXES) or isfile(f"{name}.json")
+    """Return True for the path of a saved rule, with or without the suffix of one of its files.
+
+    Names of rules come first, whatever files there are. A text with a slash is a path, also of a
+    missing file.
+
+    Example:
+        >>> is_saved("runs/fit/mine"), is_saved("mine.json"), is_saved("previous"), is_saved("typo")
+        (True, True, False, False)
+    """
+    if name in NAMES:
+        return False
+    return "/" in name or "\\" in name or name.endswith(_SUFFIXES) or isfile(f"{name}.json")
 
 
 def saved_rule(path: str) -> InitialForceRule:

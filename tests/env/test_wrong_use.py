@@ -14,10 +14,19 @@ from engines import bullet, needs_bullet
 from grasp_env.config import EnvConfig, RewardSettings
 from grasp_env.config.env import as_config
 from grasp_env.env.env import FourFingerGrasp
-from grasp_env.errors import GraspError, InvalidInputError, SimulationError, UnknownSettingError
+from grasp_env.errors import (
+    GraspError,
+    GraspWarning,
+    InvalidInputError,
+    ModelFileError,
+    SimulationError,
+    UnknownNameError,
+    UnknownSettingError,
+)
 from grasp_env.sim import HandDescription
 from grasp_env.sim.config import SceneConfig
 from grasp_env.task.disturbance import Disturbed, disturb
+from policies.learned import PRETRAINED
 
 ZERO = np.zeros(6, dtype=np.float32)
 FOUR = HandDescription.four_finger()
@@ -44,7 +53,7 @@ OVERRIDE: list[tuple[dict[str, Any], str]] = [
     ({"disturbance.force": 1.0}, "give disturbance a name"),
     ({"task": {"size": 0.01}}, r"task.size'.*\(none\)"),
     ({"task": "six_directions", "disturbance": "random"}, "pushes by itself"),
-    ({"initial_force": "best"}, r"'linear_combination'.* or give a rule\(grasp, wrench\)"),
+    ({"initial_force": "best"}, r"'linear_combination'.* or a rule\(grasp, wrench\)"),
     ({"object": 3}, "object must be of class ObjectDescription, or a dict"),
     (
         {"engine": {"name": "bullet", "rate": 100}},
@@ -256,3 +265,22 @@ def test_a_reset_gives_up():
     with pytest.raises(SimulationError, match="random objects could be held"):
         env.reset(seed=0)
     env.close()
+
+
+def test_a_path_is_a_start_and_names_come_first(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "previous.json").write_text("{}")
+    (tmp_path / "linear_combination.json").write_text("{}")
+    for name in ("previous", "linear_combination"):
+        FourFingerGrasp(initial_force=name).close()
+    model = PRETRAINED / "four_finger"
+    for path in (model, str(model), f"{model}.json"):
+        env = FourFingerGrasp(initial_force=path)
+        assert env.config.solver.initial_force == str(path)
+        env.close()
+    with pytest.raises(ModelFileError, match="No such file"):
+        FourFingerGrasp(initial_force="runs/fit/mine")
+    with pytest.raises(UnknownNameError, match="a model that `grasp fit` saved"):
+        FourFingerGrasp(initial_force="mine")
+    with pytest.warns(GraspWarning, match="knows 4 contacts, the hand has 3"):
+        FourFingerGrasp(hand="three_finger", initial_force=str(model)).close()

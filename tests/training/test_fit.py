@@ -20,6 +20,8 @@ import torch
 from gymnasium.envs.registration import EnvSpec
 from torch import nn
 
+from grasp_env.config import EnvConfig
+from grasp_env.env.env import FourFingerGrasp
 from grasp_env.errors import GraspError, InvalidInputError, ModelFileError
 from grasp_env.force import ForceOptimizer, Objective, optimize_force
 from grasp_env.grasp import Grasp, load_grasp, presets
@@ -29,8 +31,9 @@ from policies import LearnedInitialForce
 from policies.network import Network
 from training.data.one_grasp import Source, label
 from training.data.played import played
+from training.evaluation.results.table import pd
 from training.fit.fit_config import FitConfig
-from training.fit.in_environment import ALONE, BASIS, CASES, PREVIOUS, REPAIRED
+from training.fit.in_environment import ALONE, BASIS, CASES, PREVIOUS, REPAIRED, iterations
 from training.fit.loop import WARM, optimise
 from training.fit.one_grasp import NetworkTask, fit
 from training.fit.soap import Soap
@@ -310,7 +313,7 @@ def test_a_model_of_an_environment_starts_its_flow(tmp_path, capsys):
         each.step(np.zeros(each.action_space.shape, np.float32))
         assert each.unwrapped.solution.initial == "learned_fixed_grasp"
         each.close()
-    # a displaced contact changes the weights, continuously
+    # the weights depend on the contacts
     source = FitConfig(env=BALL).resolved().source()
     grasp, wrench = source.grasp, source.played[0]
     moved = Grasp.from_contacts(
@@ -330,13 +333,44 @@ def test_a_model_of_an_environment_starts_its_flow(tmp_path, capsys):
     [
         ('{"randomize": ["size"]}', "a model knows one grasp"),
         ('{"object": {"torsional_friction": 0.01}}', "three and more hard contacts"),
-        ('{"form": 1}', "form"),
+        ('{"form": 1}', "unexpected keyword argument 'form'"),
+        (
+            '{"disturbance": {"name": "constant", "value": [0, -99, 0, 0, 0, 0]}}',
+            "if the hand loses it",
+        ),
         ("UncertanGrasp", "did you mean .UncertainGrasp"),
     ],
 )
 def test_environments_without_one_grasp_are_refused(env, message):
     with pytest.raises(GraspError, match=message):
         FitConfig(env=env).resolved()
+
+
+def test_a_grip_evaluates_the_network_at_its_own_friction():
+    """The margin of an agent's step is within the training range here, that of the settings not."""
+    model = LearnedInitialForce.pretrained()  # frictions from 0.25 to 0.6
+    counts = []
+    for rule in (model, lambda grasp, wrench: model(grasp, wrench)):
+        env = FourFingerGrasp(
+            disturbance="random", action_mode="grip", initial_force=rule, friction=0.8
+        )
+        env.reset(seed=0)
+        steps = [env.step(np.array([0.5, 0.0], np.float32))[4] for _ in range(40)]
+        assert env.solution is not None
+        assert env.solution.initial == ("learned_fixed_grasp" if rule is model else "<lambda>")
+        counts.append([info["iterations"] for info in steps])
+        env.close()
+    assert counts[0] == counts[1]
+
+
+def test_scores_go_on_after_a_lost_contact():
+    """All starts play the same steps; where a tip has left, the network alone is the 12-basis."""
+    config = EnvConfig().override(
+        disturbance={"name": "random", "force": 10.0, "moment": 0.5}, motors={"noise": 0.3}
+    )
+    rows = pd.DataFrame(iterations(config, LearnedInitialForce.pretrained(), 2, 0, steps=40))
+    lengths = rows.groupby(["case", "start"])["step"].count().unstack()
+    assert (lengths[ALONE] == lengths[BASIS]).all()
 
 
 def test_contacts_come_from_one_place():

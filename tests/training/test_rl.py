@@ -233,6 +233,43 @@ def test_contact_forces_begin_at_rest(algorithm, hand):
     envs.close()
 
 
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"mass": 1.0}, "too little to hold the object at rest; raise them"),
+        ({"agent": {"action_scale": 1.0}}, "action_scale 1 N"),
+        ({"limits": {"max_force": 1.0}}, "limits.max_force allows 1.0"),
+    ],
+)
+def test_contact_forces_that_cannot_hold_are_refused(settings, message):
+    config = RLConfig(**{**TINY, "env": json.dumps(settings)}, action="contact_force").resolved()
+    envs = make_envs(config.env_settings, config.envs, config.gamma)
+    with pytest.raises(GraspError, match=message):
+        build(config, envs, 0)
+    envs.close()
+
+
+def test_squeeze_is_saved_at_equal_success_only():
+    def scores(**rows: tuple[float, float]) -> pd.DataFrame:
+        values = np.array(list(rows.values()))
+        columns = {"commanded_force_mean": values[:, 0], "held_mean": values[:, 1]}
+        return pd.DataFrame(columns, [name.replace("_", " ") for name in rows])
+
+    fixed = {"margin_0.5": (20.0, 1.0), "margin_0.7": (10.0, 0.8), "margin_0.3": (30.0, 1.0)}
+    for held, saved in ((1.0, 0.4), (0.9, 0.2), (0.8, -0.2), (0.7, np.nan)):
+        found = page.squeeze_saved(scores(**fixed, agent=(12.0, held)), "agent")
+        assert found == pytest.approx(saved, nan_ok=True)
+    for held, saved in ((1.0, 0.25), (0.9, 0.25), (0.8, np.nan)):
+        found = page.squeeze_saved(scores(zero=(8.0, 0.9), agent=(6.0, held)), "agent")
+        assert found == pytest.approx(saved, nan_ok=True)
+
+
+def test_baselines_earn_the_rewards_of_the_agent():
+    config = RLConfig(action="contact_force").resolved()
+    _, settings = GRIPS["zero"].made(config)
+    assert (settings.reward.fault_cost, settings.agent.action_mode) == (0.0, "initial_force")
+
+
 def test_learning_rates_of_ppo_fall_to_a_tenth():
     config = RLConfig(**TINY).resolved()
     envs = make_envs(config.env_settings, config.envs, config.gamma)

@@ -20,8 +20,8 @@ def environment(
 
     Args:
         text: UncertainGrasp or another environment with a name, or JSON of settings as keywords of
-            `gym.make`. The JSON's default is the cuboid under a random wrench.
-        usual: settings where the JSON gives none.
+            `gym.make`. The default is the cuboid, held under a random wrench.
+        usual: settings where the JSON gives none; an environment with a name keeps its own.
         elsewhere: settings that the JSON must not give, with the option that sets each.
 
     Raises:
@@ -52,4 +52,5 @@ def environment(
             raise InvalidInputError(
                 f"env has {name} {given[name]!r}: leave it out, {option} sets it"
             )
-    return EnvConfig().override(**{"disturbance": "random", **(usual or {}), **given})
+    disturbed = {} if "task" in given else {"disturbance": "random"}
+    return EnvConfig().override(**{**disturbed, **(usual or {}), **given})

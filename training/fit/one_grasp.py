@@ -24,12 +24,10 @@ from policies.features import Features, surface_pairs
 from policies.learned import LearnedInitialForce
 from policies.network import Network
 from policies.places import Places
-from training.data.environment import environment
 from training.data.one_grasp import BALL, LABEL_GAP, MOVED, label, with_mean_friction
 from training.evaluation.results import provenance
 from training.evaluation.results.words import small
 from training.fit.fit_config import FitConfig
-from training.fit.in_environment import scores_in
 from training.fit.loop import AT_ONCE, PERCENTILES, NetworkTask, Samples, optimise
 from training.fit.scores import scores
 from training.fit.state import FitProgress, StateFile
@@ -141,8 +139,6 @@ def fit(
         "range": scores(model, grasp, loads[:, 0], frictions),
         "ball, friction of the grasp": scores(model, grasp, ball, nominal, flow=True),
     }
-    if config.env is not None:
-        checkpoint.card["iterations"] = scores_in(environment(config.env), model)
     return checkpoint
 
 

@@ -12,7 +12,7 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import VecNormalize
 
 from grasp_env.env.env import FourFingerGrasp
-from grasp_env.errors import ModelFileError
+from grasp_env.errors import InvalidInputError, ModelFileError
 from grasp_env.grasp import Grasp
 from policies.agent_files import ENV_ID
 from training.rl.rl_config import RLConfig
@@ -23,7 +23,7 @@ _MEAN_GAIN = 0.01
 LAST = 0.1
 """Learning rate of PPO at the end, as a share of that at the beginning."""
 _SQUEEZE, _INSIDE = 0.75, 0.95
-"""Largest resting force as a share of the range, and largest resting action."""
+"""Largest resting force as a share of what is allowed, and largest resting action."""
 _REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 _MOMENTS = ("mean", "var", "count")
 Arrays = dict[str, dict[str, np.ndarray]]
@@ -66,6 +66,9 @@ def resting_action(env: FourFingerGrasp) -> np.ndarray:
 
     The forces balance the weight. They squeeze until one of them reaches `_SQUEEZE` of the largest:
     the lightest ones that balance slip at the first disturbance.
+
+    Raises:
+        InvalidInputError: actions in [-1, 1] cannot hold the object.
     """
     _, info = env.reset(seed=0)
     seen = env.scene.look()
@@ -73,10 +76,21 @@ def resting_action(env: FourFingerGrasp) -> np.ndarray:
     least = -np.linalg.pinv(grasp.matrix) @ info["wrench"]
     internal = info["commanded_force"].reshape(-1) - least
     scale = env.config.agent.action_scale
-    factors = (2.0 * _SQUEEZE * scale - least[::3]) / np.maximum(internal[::3], 1e-6)
+    most = min(2.0 * scale, env.config.limits.max_force or np.inf)
+    factors = (_SQUEEZE * most - least[::3]) / np.maximum(internal[::3], 1e-6)
     force = least + factors.min() * internal
+    if grasp.cone_margin(force.reshape(-1, 3)) <= 0.0:
+        raise InvalidInputError(
+            f"agent.action_scale {scale:g} N gives normal forces up to {2.0 * scale:g} N, and limits.max_force allows "
+            f"{env.config.limits.max_force}: too little to hold the object at rest; raise them, or make it lighter"
+        )
     force[::3] -= scale
-    return np.clip(force / scale, -_INSIDE, _INSIDE)
+    action = force / scale
+    if np.abs(action).max() > 1.0:
+        raise InvalidInputError(
+            f"agent.action_scale {scale:g} N is too little to hold the object at rest, which takes {np.abs(force).max():.3g} N: raise it"
+        )
+    return action.clip(-_INSIDE, _INSIDE)
 
 
 def build(config: RLConfig, envs: VecNormalize, seed: int) -> PPO | SAC:

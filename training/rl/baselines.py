@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 from grasp_env.config import EnvConfig
@@ -34,10 +34,10 @@ class Baseline:
 
     def made(self, config: RLConfig) -> tuple[Policy, EnvConfig]:
         """Return policy and settings beside an agent."""
-        # where an agent needs no solver, its baselines have one
+        # where an agent needs no solver, its baselines have one, for the same rewards
         mode = "grip" if config.action == "grip" else "initial_force"
-        solver = replace(config, action=mode)
-        settings = as_config(solver.env_settings).override(**self.changes)
+        settings = as_config(config.env_settings).override(action_mode=mode)
+        settings = settings.override(**self.changes)
         if self.learned:
             settings = settings.override(initial_force=LearnedInitialForce.pretrained())
         size = MODES[settings.agent.action_mode].size(settings.hand_description.finger_count)

@@ -102,7 +102,8 @@ def squeeze_saved(scores: pd.DataFrame, agent: str) -> float:
     """Return the share of the squeeze that an agent saves against what learns nothing.
 
     That is the lightest fixed margin, with or without preload, that holds as many episodes, between
-    two of them by interpolation; or the zero policy if no fixed margins were played.
+    two of them by interpolation; or the zero policy if no fixed margins were played. NaN: no fixed
+    margin holds as many or as few, or the zero policy holds more.
 
     Args:
         scores: summary of the held-out episodes of one environment, its index the agents.
@@ -117,7 +118,8 @@ def squeeze_saved(scores: pd.DataFrame, agent: str) -> float:
     mine = scores.loc[agent]
     fixed = scores[[name.startswith("margin") for name in scores.index]]
     if fixed.empty:
-        beside = scores.loc["zero", "commanded_force_mean"]
+        zero = scores.loc["zero"]
+        beside = zero["commanded_force_mean"] if mine["held_mean"] >= zero["held_mean"] else np.nan
     else:
         fixed = fixed.sort_values("commanded_force_mean")
         # the lightest grip that holds as often
@@ -125,7 +127,7 @@ def squeeze_saved(scores: pd.DataFrame, agent: str) -> float:
             np.maximum.accumulate(fixed["held_mean"].to_numpy(float)), return_index=True
         )
         force = fixed["commanded_force_mean"].to_numpy(float)[first]
-        beside = np.interp(mine["held_mean"], best, force)
+        beside = np.interp(mine["held_mean"], best, force, np.nan, np.nan)
     return float(1.0 - mine["commanded_force_mean"] / beside)
 
 
@@ -163,7 +165,9 @@ def scores_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
             force = (row[f"commanded_force_{name}"] for name in ("mean", "mean_low", "mean_high"))
             cells |= {
                 "squeeze [N]": _interval(*force),
-                "squeeze saved [%]": 100.0 * squeeze_saved(scores, agent) if "/" in agent else None,
+                "squeeze saved [%]": 100.0 * squeeze_saved(scores, agent)
+                if "/" in agent
+                else np.nan,
                 "torque, share of the limit": row["torque_share_mean"],
                 "largest drift [mm]": row.get("drift_mean"),
             }

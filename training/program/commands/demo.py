@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import tyro
 
+from grasp_env.errors import InvalidInputError
 from grasp_env.inputs.extras import need
 from grasp_env.task.disturbance import DISTURBANCES
 from grasp_env.task.motion import MOTIONS
@@ -63,6 +64,12 @@ class Demo:
         from policies import TrainedAgent
         from training.program.film import record
 
+        given = settings_of(self.setting)
+        for path in ("initial_force", "solver.initial_force"):
+            if path in given:
+                raise InvalidInputError(
+                    f"--setting {path}={given[path]} is an option of its own: give --initial {given[path]}"
+                )
         agent = None if self.agent is None else TrainedAgent.load(self.agent)
         settings: dict[str, Any] = {"task": self.task, "shape": self.shape, "hand": self.hand}
         if self.task == "move":
@@ -78,6 +85,6 @@ class Demo:
             self.seed,
             policy=agent,
             config=None if agent is None else agent.meta["env_settings"],
-            **{"pictures.size": self.size, **settings, **settings_of(self.setting)},
+            **{"pictures.size": self.size, **settings, **given},
         )
         Console().print(f"{ending}: {self.video}", highlight=False)

@@ -28,10 +28,9 @@ class Fit(FitConfig):
     `grasp fit --grasp mine.json --out runs/fit/mine`
 
     To train for the contacts, wrenches and frictions of a simulated hand:
-    `grasp fit --env '{"hand": "allegro", "shape": "sphere", "size": [0.06]}' --out runs/fit/mine`
+    `grasp fit --env '{"hand": "allegro"}' --out runs/fit/mine`
 
-    Then `gym.make("grasp_env:FourFingerGrasp-v0", ..., initial_force="runs/fit/mine")` starts from
-    it, and `grasp fit` prints the iterations there.
+    It prints the iterations there. `gym.make` takes the path as `initial_force`.
 
     Attributes:
         preset: name of the grasp.
@@ -51,6 +50,9 @@ class Fit(FitConfig):
     def execute(self) -> None:
         """Run the command."""
         with interruptible(orderly=False):  # until the training handles interrupts itself
+            from policies import LearnedInitialForce
+            from training.data.environment import environment
+            from training.fit.in_environment import scores_in
             from training.fit.one_grasp import fit
             from training.fit.state import StateFile
 
@@ -60,6 +62,10 @@ class Fit(FitConfig):
             checkpoint = fit(settings, True, command, self.out, self.resume)
             path = checkpoint.save(self.out)
             StateFile(self.out, {}).remove()
+            if self.env is not None:
+                model = LearnedInitialForce(checkpoint)
+                checkpoint.card["iterations"] = scores_in(environment(self.env), model)
+                checkpoint.save(self.out)
         gaps = checkpoint.card["held_out_gap"]
         ball = gaps["ball"]
         flow = gaps["ball, friction of the grasp"]["flow iterations"]

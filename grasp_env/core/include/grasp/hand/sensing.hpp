@@ -43,6 +43,22 @@ class WrenchEstimator {
   Point linear_{}, angular_{};  // momentum [N s], [N m s], world
 };
 
+// Paths of the tips on the object by sliding, since `reset`.
+class Slides {
+ public:
+  explicit Slides(int fingers) : paths_(fingers) {}
+  void reset() { std::fill(paths_.begin(), paths_.end(), Point{0.0, 0.0, 0.0}); }
+  void add(const Snapshot& now, double tick) {
+    for (std::size_t i = 0; i < paths_.size(); ++i)
+      if (now.touching[i] > 0.0) paths_[i] += tick * now.sliding[i];
+  }
+  double operator[](std::size_t finger) const { return length(paths_[finger]); }  // [m]
+  std::size_t size() const { return paths_.size(); }
+
+ private:
+  std::vector<Point> paths_;  // (N,) [m], object frame
+};
+
 enum class WrenchSource { measured, estimated, none };
 
 struct SensorSettings {
@@ -85,7 +101,7 @@ class Sensors {
     estimator_.reset();
     std::fill(delayed_.begin(), delayed_.end(), scene_->now);
     std::fill(reported_.begin(), reported_.end(), Vec6{});
-    std::fill(slides_.begin(), slides_.end(), Point{});
+    slides_.reset();
     std::fill(slid.begin(), slid.end(), 0.0);
     tick_ = 0;
   }
@@ -114,8 +130,8 @@ class Sensors {
   std::shared_ptr<const Scene> scene_;
   WrenchEstimator estimator_;
   std::vector<Snapshot> delayed_;
-  Snapshot seen_;              // what is seen, unless it is the scene itself
-  std::vector<Point> slides_;  // (N,) path of each tip on the object [m]
+  Snapshot seen_;  // what is seen, unless it is the scene itself
+  Slides slides_;  // what the tips feel
   std::vector<Vec6> reported_;
   std::size_t tick_ = 0;
 
@@ -123,10 +139,8 @@ class Sensors {
     return delayed_[(tick_ + delayed_.size() - ticks) % delayed_.size()];
   }
   void feel(const Snapshot& then) {
-    for (std::size_t i = 0; i < slid.size(); ++i) {
-      if (then.touching[i] > 0.0) slides_[i] += settings.tick * then.sliding[i];
-      slid[i] = length(slides_[i]);
-    }
+    slides_.add(then, settings.tick);
+    for (std::size_t i = 0; i < slid.size(); ++i) slid[i] = slides_[i];
   }
   void observe_with_delay(const double* noise) {
     delayed_[tick_ % delayed_.size()] = scene_->now;

@@ -36,7 +36,7 @@ class SimulatedHand {
         least_sum_({true_contacts(method.contacts(), friction)},
                    {.method = Method::conic, .tolerance = 1e-4}),
         least_sum_row_(least_sum_.size()),
-        slid_(scene->tree->fingers()),
+        slides_(scene->tree->fingers()),
         step_force_(3 * scene->tree->fingers()) {
     std::ranges::copy(std::array{late(sensing.joint_delay), late(sensing.delay),
                                  late(sensing.delay + sensing.wrench_delay)},
@@ -46,7 +46,7 @@ class SimulatedHand {
 
   // Start a new episode. Delayed measurements first show the current scene, at rest.
   void reset() {
-    forget_slides();
+    slides_.reset();
     worst_ = {};
     sensors.reset();
     tell(scene->gravity, Target{});
@@ -76,10 +76,10 @@ class SimulatedHand {
     measure(known);
     has_tick_ = false;
     worst_.slide = 0.0;
-    forget_slides();  // the first tick counts it again
+    slides_.reset();  // the first tick counts it again
     controller->activate(state);
     std::vector<double> forces(step_force_.size());
-    for (int i = 0; i < int(slid_.size()); ++i)
+    for (int i = 0; i < int(slides_.size()); ++i)
       for (int a = 0; a < 3; ++a)
         forces[3 * i + a] = dot(controller->model().axis(i, a), seen().forces[i]);
     controller->rest_at(forces);
@@ -102,7 +102,7 @@ class SimulatedHand {
     double total = 0.0;
     double moved = 0.0;
     double both = 0.0;
-    for (std::size_t i = 0; i < slid_.size(); ++i) total += force[3 * i];
+    for (std::size_t i = 0; i < slides_.size(); ++i) total += force[3 * i];
     for (std::size_t j = 0; j < force.size(); ++j) {
       moved += std::abs(force[j] - step_force_[j]);
       both += std::abs(force[j]) + std::abs(step_force_[j]);
@@ -111,7 +111,7 @@ class SimulatedHand {
               .torque = std::min(controller->forces().effort.share, 1.0),
               .change = both > 0.0 ? moved / both : 0.0};
     if (closure && total > 0.0) {
-      const std::size_t size = 3 * slid_.size();
+      const std::size_t size = 3 * slides_.size();
       least_sum_.solve({.wrench = controller->state()[WRENCH].data(),
                         .now = {.positions = {&seen().points[0].u, size},
                                 .normals = {&seen().normals[0].u, size},
@@ -156,7 +156,7 @@ class SimulatedHand {
                 .imbalance = imbalance(),
                 .worst = worst()};
     double radius = 0.0;
-    for (int i = 0; i < int(slid_.size()); ++i) {
+    for (int i = 0; i < int(slides_.size()); ++i) {
       for (int a = 0; a < 3; ++a) {
         const int j = 3 * i + a;
         measured[j] = dot(controller->model().axis(i, a), now.forces[i]);
@@ -181,7 +181,7 @@ class SimulatedHand {
   int ticks_ = 0;                   // number of these
   std::uint64_t pushed_ = 0;        // fingers that pushed in them
   bool has_tick_ = false;           // a tick of the step runs, or has just ended
-  std::vector<Point> slid_;         // (N,) path of each tip on the object by sliding [m]
+  Slides slides_;                   // the true ones
   std::vector<double> step_force_;  // (N, 3) [N] commanded when the agent's step began
 
   // The least sum counts newtons.
@@ -191,7 +191,6 @@ class SimulatedHand {
     return contacts;
   }
   double late(int ticks) const { return ticks * sensors.settings.tick; }
-  void forget_slides() { std::fill(slid_.begin(), slid_.end(), Point{0.0, 0.0, 0.0}); }
   bool measure(const Known& known) {
     if (!known.reading.empty() && !scene->read(known.reading.data(), known.reading.size()))
       return false;
@@ -206,10 +205,9 @@ class SimulatedHand {
     const Point external = now.rotation * point(known.external);
     asked_ = external + scene->mass * (scene->gravity - known.target.linear_acceleration);
     has_tick_ = true;
-    for (std::size_t i = 0; i < slid_.size(); ++i) {
-      if (scene->now.touching[i] > 0.0) slid_[i] += sensors.settings.tick * scene->now.sliding[i];
-      worst_.slide = std::max(worst_.slide, length(slid_[i]));
-    }
+    slides_.add(now, sensors.settings.tick);
+    for (std::size_t i = 0; i < slides_.size(); ++i)
+      worst_.slide = std::max(worst_.slide, slides_[i]);
     load_ =
         std::max(length(external + scene->mass * scene->gravity), STANDARD_GRAVITY * scene->mass);
     worst_ = worst();
