@@ -11,8 +11,6 @@ from grasp_env.sim.engine import engine_of
 
 _RATE = 1000
 """Rate of control and physics [Hz]."""
-_FRICTION = (0.4, 0.7)
-"""Range of the true friction: a constant one would show the error of the friction believed in."""
 _IMPERFECT: dict[str, Any] = {
     "disturbance": "random",
     "duration": 4.0,
@@ -49,10 +47,11 @@ class UncertainGrasp(_Named):
     """Hold an object with as little force as its unknown friction and faulty motors allow.
 
     ## Description
-    The four-finger hand holds a cuboid under a random wrench for 4 s. In each episode the controller
-    believes in a friction that is 0 to 40 % too high, the object weighs 0.1 to 0.4 kg, and the gains
-    of the motors are wrong by 5 %, with 5 % of noise. Positions arrive 10 ms late, and the wrench is
-    estimated from the motion. A light grip slips in some episodes; a tight one wastes force in most.
+    The four-finger hand holds a cuboid under a random wrench for 4 s. In each episode the friction
+    is 0.4 to 0.7, and the controller believes in one that is 0 to 40 % higher. The object weighs
+    0.1 to 0.4 kg, and the gains of the motors are wrong by 5 %, with 5 % of noise. Positions arrive
+    10 ms late, and the wrench is estimated from the motion. A light grip slips in some episodes; a
+    tight one wastes force in most.
 
     ## Action space
     `Box(-1, 1, (2,), float32)`: friction margin and preload, `agent.action_mode="grip"` of
@@ -95,7 +94,8 @@ class UncertainGrasp(_Named):
         **_IMPERFECT,
         "randomize": {
             "mass": (0.1, 0.4),
-            "friction": _FRICTION,
+            # a constant one would show the error of the friction believed in
+            "friction": (0.4, 0.7),
             "controller.friction_error": (0.0, 0.4),
         },
         "motors": {"noise": 0.05, "gain_error": 0.05},
@@ -107,9 +107,9 @@ class FragileGrasp(_Named):
 
     ## Description
     The four-finger hand holds a ball of 50 mm and 60 g, like an egg, under a random wrench for 4 s.
-    In each episode the controller believes in a friction that is 30 % too low to 30 % too high, and
-    its motors have 5 % of noise. Positions arrive 10 ms late, and the wrench is estimated from the
-    motion. A light grip slips, a tight one breaks the object.
+    In each episode the friction is 0.3 to 0.5, the controller believes in one that is 30 % too low
+    to 30 % too high, and its motors have 5 % of noise. Positions arrive 10 ms late, and the wrench
+    is estimated from the motion. A light grip slips, a tight one breaks the object.
 
     ## Action space
     `Box(-1, 1, (2,), float32)`: friction margin and preload, `agent.action_mode="grip"` of
