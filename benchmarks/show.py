@@ -92,7 +92,7 @@ def _lines(
         yield f"{case}\n{_table(rows, keys, ['n', *benchmark.shown])}\n"
     yield from (
         f"{name}: {benchmark.words[name]}"
-        for name in now["method"].dropna().unique()
+        for name in (now["method"].dropna().unique() if "method" in now.columns else ())
         if name in benchmark.words
     )
     yield from (f"{name} was not measured: {reason}" for name, reason in about["missing"].items())

@@ -20,6 +20,7 @@ import torch
 from gymnasium.envs.registration import EnvSpec
 from torch import nn
 
+from benchmarks.__main__ import main as benchmark
 from grasp_env.config import EnvConfig
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.errors import GraspError, InvalidInputError, ModelFileError
@@ -28,6 +29,7 @@ from grasp_env.grasp import Grasp, load_grasp, presets
 from grasp_env.grasp.null_space import null_space_basis, reference_basis
 from grasp_env.grasp.wrench import sample_ball
 from policies import LearnedInitialForce
+from policies.learned import PRETRAINED
 from policies.network import Network
 from training.data.one_grasp import Source, label
 from training.data.played import played
@@ -313,6 +315,12 @@ def test_a_model_of_an_environment_starts_its_flow(tmp_path, capsys):
         each.step(np.zeros(each.action_space.shape, np.float32))
         assert each.unwrapped.solution.initial == "learned_fixed_grasp"
         each.close()
+    words = ["fitted", "--episodes", "1", "--out", str(tmp_path), "--name", "run", "--models"]
+    assert benchmark([*words, str(PRETRAINED / "four_finger")]) == 2
+    assert "the model of a grasp, not of an environment" in capsys.readouterr().err
+    assert benchmark([*words, str(out)]) == 0
+    told = capsys.readouterr().out
+    assert "contacts moved: p99 iterations from a fitted start over the 12-basis's" in told
     # the weights depend on the contacts
     source = FitConfig(env=BALL).resolved().source()
     grasp, wrench = source.grasp, source.played[0]
