@@ -31,7 +31,7 @@ from training.evaluation.compare.scenarios import short_name
 from training.evaluation.report import errors_page, holds_page, starts_page
 from training.evaluation.report.page import cell, claims_of
 from training.evaluation.report.reproduce_page import RULES
-from training.evaluation.report.rl_page import AGENTS, SPEEDS, label_of, place, squeeze_saved
+from training.evaluation.report.rl_page import AGENTS, SPEEDS, place, squeeze_saved
 from training.evaluation.report.starts_page import pair
 from training.evaluation.results.claims import Verdict, judge
 from training.evaluation.results.run import Run
@@ -280,10 +280,9 @@ def rl() -> str:
     rows = []
     for environment in means["environment"].unique():
         here = means[means["environment"] == environment].set_index("agent")
-        for agent in here.index:
-            if agent.startswith(("squeeze", "random")):
+        for agent, (label, _) in AGENTS.items():
+            if agent not in here.index:
                 continue
-            label = label_of(agent)
             row = here.loc[agent]
             held = "none"
             if row["held_mean"]:
@@ -298,7 +297,9 @@ def rl() -> str:
                     "policy": label,
                     "held": held,
                     "squeeze [N]": row["commanded_force_mean"],
-                    "squeeze saved [%]": "–" if pd.isna(share) else cell(share),
+                    "squeeze saved [%]": "–"
+                    if pd.isna(share)
+                    else f"{share:.1f}".replace("-0.0", "0.0"),
                     "iterations, median / p99": counts,
                     "return, interquartile mean": row["return_iqm"],
                 }

@@ -277,8 +277,9 @@ class LearnedInitialForce:
         """Return the factors of the weights: powers of the friction, then displacements."""
         feature = (friction - self.features.friction_mean) / self.features.friction_scale
         # far outside the training range its powers would overflow
-        powers = min(max(feature, -1e3), 1e3) ** np.arange(self._degree + 1)
-        return powers if self._places is None else np.append(powers, self._places(grasp))
+        powers = min(max(feature, -1e3), 1e3) ** np.arange(self._degree + 1.0)
+        moves = np.empty(0) if self._places is None else self._places(grasp)
+        return np.concatenate([powers, moves])
 
     def _network(self, terms: Array) -> core.Network:
         """Return the network of a grasp, cached for the last one."""

@@ -124,7 +124,7 @@ def build(config: RLConfig, envs: VecNormalize, seed: int) -> PPO | SAC:
             **common,
         )
         with torch.no_grad():
-            agent.policy.action_net.bias.copy_(torch.as_tensor(start))
+            agent.policy.action_net.bias.copy_(torch.as_tensor(start))  # type: ignore[operator, union-attr]
         return agent
     # entropy of a normal distribution with that deviation; SAC's temperature keeps the exploration
     # there

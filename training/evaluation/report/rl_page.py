@@ -17,7 +17,7 @@ from training.evaluation.results.table import pd, summary
 from training.evaluation.results.words import number
 
 AGENTS = {
-    "zero": ("the paper's start (zero policy)", "#000000"),
+    "zero": ("zero actions, the solver alone", "#000000"),
     "learned": ("learned start, shipped", "#8fc98f"),
     "previous": ("previous solution", "#8a8a8a"),
     "ppo/initial_force": ("PPO, adjusts the start", "#b3261e"),
@@ -40,9 +40,9 @@ SPEEDS = ("environment alone", "with inference", "with training")
 """Cases measured in steps per second."""
 TITLE = "Agents beside the paper's start"
 INTRO = (
-    "This page compares agents on FourFingerGrasp-v0 with policies that learn nothing in the environment: the zero policy (the paper's "
-    "start), the shipped learned start and the previous solution. All of them play the same held-out episodes, with deterministic "
-    "actions. The columns are defined at the end of this page."
+    "This page compares agents with policies that learn nothing in the environment: the zero policy (the solver alone, from the paper's "
+    "start), the shipped learned start and the previous solution, or fixed grips where an agent sets the grip. All of them play the same "
+    "held-out episodes, with deterministic actions. The columns are defined at the end of this page."
 )
 _PAPER = "case == 'held_out' and agent == 'zero'"
 
@@ -115,10 +115,10 @@ def squeeze_saved(scores: pd.DataFrame, agent: str) -> float:
         >>> round(squeeze_saved(pd.DataFrame({**force, "held_mean": held}, names), "ppo/grip"), 3)
         0.2
     """
-    mine = scores.loc[agent]
-    fixed = scores[[name.startswith("margin") for name in scores.index]]
+    mine: Any = scores.loc[agent]
+    fixed: Any = scores[[str(name).startswith("margin") for name in scores.index]]
     if fixed.empty:
-        zero = scores.loc["zero"]
+        zero: Any = scores.loc["zero"]
         beside = zero["commanded_force_mean"] if mine["held_mean"] >= zero["held_mean"] else np.nan
     else:
         fixed = fixed.sort_values("commanded_force_mean")
@@ -144,10 +144,10 @@ def scores_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
         iterations = {
             agent: ends.groupby("seed")["mean_iterations"].mean() for agent, ends in last.items()
         }
-        means = _by_agent(summary, "held_out", environment)
-        scores = pd.concat(list(means.values())).set_index("agent")
-        for agent, row in scores.iterrows():
-            ends = last[agent]
+        scores: Any = pd.concat([*_by_agent(summary, "held_out", environment).values()])
+        scores = scores.set_index("agent")
+        for agent, ends in last.items():
+            row: Any = scores.loc[agent]
             cells = {
                 "environment": place(environment),
                 "policy": label_of(agent),
@@ -182,7 +182,7 @@ def scores_text(rows: pd.DataFrame) -> str:
     """Return the scores of every policy as text, for a terminal."""
     scores = scores_table(rows, summary(rows))
     shown = ["environment", "policy", "held", "squeeze [N]", "squeeze saved [%]", "return"]
-    return scores[shown].to_string(index=False, na_rep="", float_format=number)
+    return str(scores[shown].to_string(index=False, na_rep="", float_format=number))  # type: ignore[arg-type]
 
 
 def training_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
