@@ -32,7 +32,11 @@ AGENTS = {
 """Label and colour of every policy, in the order of the tables."""
 FIXED: dict[str, dict[str, Any]] = {
     r"margin [\d.]+": {"fmt": "o-", "color": "#5a6472", "label": "fixed margins"},
-    r"margin [\d.]+, no preload": {"fmt": "^--", "color": "#9aa3ad", "label": "without preload"},
+    r"margin [\d.]+, no preload": {
+        "fmt": "^--",
+        "color": "#9aa3ad",
+        "label": "fixed margins, no preload",
+    },
     r"squeeze .*": {"fmt": "s:", "color": "#b08d57", "label": "constant squeezes"},
 }
 """Look of the fixed grips, by patterns of their names."""
@@ -287,7 +291,11 @@ def front_figure(rows: pd.DataFrame, summary: pd.DataFrame) -> Figure | None:
             if "/" in agent:
                 label, colour = AGENTS[agent]
                 _plot_rates(panel, row, fmt="D", color=colour, label=label)
-        panel.set(ylabel="held [%]", ylim=(-4, 104))
+        panel.set(ylabel="held [%]", ylim=(-4, 104), xscale="log")
+        low, high = panel.get_xlim()
+        forces = [force for force in (2, 5, 10, 20, 40, 80, 160) if low < force < high]
+        panel.set_xticks(forces, [str(force) for force in forces])
+        panel.minorticks_off()
         panel.set_title(place(environment), loc="left", fontsize=9)
     figure.axes[-1].set(xlabel="mean sum of normal forces [N]")
     legend_above(figure)
