@@ -142,6 +142,7 @@ def test_mp4_needs_video(monkeypatch, tmp_path):
 
 COMMANDS = {
     "fit": "train",
+    "fit --env {}": "sim,train",
     "rl": "sim,train,report",
     "evaluate env": "sim,report",
     "report nowhere": "report",

@@ -10,6 +10,7 @@ from typing import Annotated
 from rich.console import Console
 
 from grasp_env.grasp.presets import PRESETS
+from grasp_env.inputs.extras import need
 from training.evaluation.results.interrupts import interruptible
 from training.fit.fit_config import FitConfig
 from training.program.commands.options import left_out, one_of
@@ -50,9 +51,8 @@ class Fit(FitConfig):
     def execute(self) -> None:
         """Run the command."""
         with interruptible(orderly=False):  # until the training handles interrupts itself
-            from policies import LearnedInitialForce
-            from training.data.environment import environment
-            from training.fit.in_environment import scores_in
+            if self.env is not None:
+                need("sim", "train")
             from training.fit.one_grasp import fit
             from training.fit.state import StateFile
 
@@ -62,7 +62,11 @@ class Fit(FitConfig):
             checkpoint = fit(settings, True, command, self.out, self.resume)
             path = checkpoint.save(self.out)
             StateFile(self.out, {}).remove()
-            if self.env is not None:
+            if self.env is not None:  # the model is saved, whatever comes
+                from policies import LearnedInitialForce
+                from training.data.environment import environment
+                from training.fit.in_environment import scores_in
+
                 model = LearnedInitialForce(checkpoint)
                 checkpoint.card["iterations"] = scores_in(environment(self.env), model)
                 checkpoint.save(self.out)
