@@ -279,7 +279,7 @@ def test_learning_rates_of_ppo_fall_to_a_tenth():
 
 
 def test_settings_of_the_environment_come_before_usual_ones():
-    """An agent of contact forces has no cost of a fault, unless the environment says so."""
+    """An agent of contact forces has no cost of a fault, unless the environment gives one."""
     cost = RLConfig(action="contact_force", env='{"reward": {"fault_cost": 3.0}}').env_settings
     assert cost["reward"]["fault_cost"] == 3.0
     assert RLConfig(action="residual").env_settings["reward"]["fault_cost"] == 10.0

@@ -16,6 +16,9 @@ PRESETS = {3: presets.tripod, 4: presets.paper_cuboid, 5: presets.five_finger_cu
 """Preset grasps by their number of contacts."""
 HALF = (0.03, 0.06)
 """Range of half a solid's width along an axis [m]."""
+CLOSURE = 0.01
+"""Least closure margin times the number of contacts: forces grow without bound near the loss of
+closure."""
 ENDS = 1.0 / 3.0
 """Share of a cylinder's contacts that lie on its two ends."""
 
@@ -28,8 +31,7 @@ class Recipe:
         shapes: keys of `SOLIDS`, with equal probability.
         friction: range of the coefficient.
         own_friction: True if each contact draws its own friction.
-        margin: least closure margin times the number of contacts; forces grow without bound near
-            the loss of closure.
+        margin: least closure margin times the number of contacts.
         basis: True if a closed grasp must also have an offline basis (3 % of those with 3 contacts
             have none).
     """
@@ -37,7 +39,7 @@ class Recipe:
     shapes: tuple[str, ...] = ("cuboid", "ellipsoid", "cylinder")
     friction: tuple[float, float] = (0.3, 0.8)
     own_friction: bool = False
-    margin: float = 0.01
+    margin: float = CLOSURE
     basis: bool = True
 
     def points(self, rng: np.random.Generator, count: int) -> tuple[Array, Array]:
@@ -53,8 +55,7 @@ class Recipe:
 
     def closes(self, grasp: Grasp) -> bool:
         """Return True if a grasp has force closure with the recipe's margin."""
-        least = self.margin / grasp.n_contacts
-        if grasp.rank < 6 or feasibility(grasp, np.zeros(6)).margin <= least:
+        if grasp.rank < 6 or not closes(grasp, self.margin):
             return False
         if self.basis:
             try:
@@ -69,6 +70,11 @@ class Recipe:
             grasp = self.draw(rng, count)
             if self.closes(grasp):
                 return grasp
+
+
+def closes(grasp: Grasp, margin: float = CLOSURE) -> bool:
+    """Return True if the grasp closes with that margin; see `Recipe.margin`."""
+    return feasibility(grasp, np.zeros(6)).margin > margin / grasp.n_contacts
 
 
 def _cuboid(rng: np.random.Generator, count: int) -> tuple[Array, Array]:

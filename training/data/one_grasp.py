@@ -14,8 +14,8 @@ from grasp_env.grasp import Grasp
 from grasp_env.grasp.null_space import null_space_basis
 from grasp_env.grasp.wrench import MAGNITUDE_LENGTH, sample_ball, sample_magnitudes
 from grasp_env.inputs.arguments import Array, unit_vectors
-from grasp_env.quality import feasibility
 from policies.places import Places
+from training.data.grasps import closes
 
 LABEL_GAP, LABEL_ITERATIONS = 1e-10, 200
 BALL = 0.7
@@ -26,8 +26,6 @@ SMOOTH = 0.3
 """Deviation of a wrench from the played one that it is drawn from, in their standard deviations."""
 CHUNK = 4096
 """Samples whose metric is computed at once."""
-CLOSURE = 0.01
-"""Least closure margin times the number of contacts, as of random grasps in comparisons."""
 MOVED = 3e-3
 """Largest displacement of a contact on the object [m]."""
 _TRIES = 100
@@ -88,8 +86,9 @@ class Source:
         grasps = [with_mean_friction(self.grasp, mu) for mu in friction.tolist()]
         moves = np.zeros((groups, 0))
         if self.surface is not None:
+            places = Places.of(self.grasp, MOVED)
             grasps = [moved(rng, grasp, self.surface) for grasp in grasps]
-            moves = np.array([Places.of(self.grasp, MOVED)(grasp) for grasp in grasps])
+            moves = np.array([places(grasp) for grasp in grasps])
         return Drawn(grasps, moves, wrenches)
 
     def loads(
@@ -139,11 +138,6 @@ def moved(rng: np.random.Generator, grasp: Grasp, surface: core.Surface) -> Gras
     raise SimulationError(
         f"none of {_TRIES} grasps with contacts moved by {1e3 * MOVED:g} mm closes: give more friction"
     )
-
-
-def closes(grasp: Grasp) -> bool:
-    """Return True if the grasp closes with the margin `CLOSURE`."""
-    return feasibility(grasp, np.zeros(6)).margin > CLOSURE / grasp.n_contacts
 
 
 def with_mean_friction(grasp: Grasp, friction: float) -> Grasp:

@@ -88,7 +88,8 @@ def played(text: str) -> Played:
         text: see `training.data.environment.environment`.
 
     Raises:
-        InvalidInputError: the contacts are soft, fewer than three, or not those of one grasp.
+        InvalidInputError: the contacts are soft, fewer than three, held too briefly, or not those
+            of one grasp.
     """
     given = environment(text)
     solver = given.solver

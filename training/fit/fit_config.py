@@ -12,7 +12,8 @@ from grasp_env.force import Objective
 from grasp_env.grasp import Grasp, load_grasp, presets
 from grasp_env.inputs import ranges
 from grasp_env.inputs.arguments import number, positive
-from training.data.one_grasp import Source, closes, with_mean_friction
+from training.data.grasps import closes
+from training.data.one_grasp import Source, with_mean_friction
 from training.evaluation.results.run import check_counts
 
 if TYPE_CHECKING:

@@ -42,7 +42,7 @@ ACTIONS: dict[str, Usual] = {
     "contact_force": Usual(0.95, 0.1, {"ppo": 1e-3, "sac": 5e-4}, {"reward.fault_cost": 0.0}),
 }
 """Action modes of agents, and their usual settings."""
-_SET = {"action_mode": "action"}
+_BY_OPTION = {"action_mode": "action"}
 """Settings of the environment that options set."""
 HELD_OUT_SEED = 1_000_000
 """First seed of the episodes that score agents; the seeds of training are at least 2**30."""
@@ -154,8 +154,8 @@ class RLConfig:
 
     def _environment(self) -> EnvConfig:
         if not self.action:  # that of the environment
-            return environment(self.env, elsewhere=_SET)
-        config = environment(self.env, ACTIONS[self.action].settings, _SET)
+            return environment(self.env, elsewhere=_BY_OPTION)
+        config = environment(self.env, ACTIONS[self.action].settings, _BY_OPTION)
         return config.override(action_mode=self.action)
 
     @property
