@@ -23,7 +23,13 @@ from torch import nn
 from benchmarks.__main__ import main as benchmark
 from grasp_env.config import EnvConfig
 from grasp_env.env.env import FourFingerGrasp
-from grasp_env.errors import GraspError, InvalidInputError, ModelFileError
+from grasp_env.errors import (
+    GraspError,
+    GraspWarning,
+    InvalidInputError,
+    ModelFileError,
+    SimulationError,
+)
 from grasp_env.force import ForceOptimizer, Objective, optimize_force
 from grasp_env.grasp import Grasp, load_grasp, presets
 from grasp_env.grasp.null_space import null_space_basis, reference_basis
@@ -34,6 +40,7 @@ from policies.network import Network
 from training.data.one_grasp import Source, label
 from training.data.played import played
 from training.evaluation.results.table import pd
+from training.fit import in_environment
 from training.fit.fit_config import FitConfig
 from training.fit.in_environment import ALONE, BASIS, CASES, PREVIOUS, REPAIRED, iterations
 from training.fit.loop import WARM, optimise
@@ -379,6 +386,19 @@ def test_scores_go_on_after_a_lost_contact():
     rows = pd.DataFrame(iterations(config, LearnedInitialForce.pretrained(), 2, 0, steps=40))
     lengths = rows.groupby(["case", "start"])["step"].count().unstack()
     assert (lengths[ALONE] == lengths[BASIS]).all()
+
+
+def test_a_case_that_cannot_be_played_is_told(monkeypatch):
+    def none(*_: Any) -> Any:
+        raise SimulationError("no moved contacts")
+
+    monkeypatch.setattr(in_environment, "_moved", none)
+    monkeypatch.setattr(in_environment, "EPISODES", 1)
+    config = EnvConfig().override(duration=0.2)
+    with pytest.warns(GraspWarning, match="contacts moved: not scored, no moved contacts"):
+        scores = in_environment.scores_in(config, LearnedInitialForce.pretrained())
+    assert list(scores) == ["as fitted"]
+    assert scores["as fitted"][BASIS]["n"] == 10
 
 
 def test_contacts_come_from_one_place():

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
-from contextlib import closing, suppress
+from collections.abc import Iterator, Sequence
+from contextlib import closing
 from dataclasses import replace
 from typing import Any
 
@@ -15,7 +15,7 @@ from grasp_env.env.env import FourFingerGrasp
 from grasp_env.errors import GraspError, GraspWarning, SimulationError
 from grasp_env.force.initial import LinearCombination
 from grasp_env.grasp import Grasp
-from grasp_env.inputs.arguments import ContactForces, Wrench
+from grasp_env.inputs.arguments import ContactForces, Wrench, warn
 from policies import LearnedInitialForce
 from training.data.episodes import episode
 from training.data.one_grasp import moved
@@ -33,7 +33,12 @@ _TRIES = 50
 
 
 def iterations(
-    config: EnvConfig, model: LearnedInitialForce, episodes: int, seed: int, steps: int = 100
+    config: EnvConfig,
+    model: LearnedInitialForce,
+    episodes: int,
+    seed: int,
+    steps: int = 100,
+    cases: Sequence[str] = CASES,
 ) -> Iterator[dict[str, Any]]:
     """Yield rows of the iterations of each agent step, from all starts in the same episodes.
 
@@ -43,6 +48,10 @@ def iterations(
         episodes: number of episodes in each case; with moved contacts each has its own.
         seed: first seed of the episodes.
         steps: largest number of steps of an episode.
+        cases: some of `CASES`.
+
+    Raises:
+        SimulationError: the hand can hold the object by no moved contacts.
     """
     starts = {
         BASIS: "linear_combination",
@@ -51,7 +60,7 @@ def iterations(
         PREVIOUS: "previous",
     }
     planned = _planned(config)
-    for case in CASES:
+    for case in cases:
         for number in range(seed, seed + episodes):
             here = config if case == "as fitted" else _moved(planned, number)
             for name, rule in starts.items():
@@ -82,22 +91,20 @@ class _Alone(NetworkAlone):
 def scores_in(config: EnvConfig, model: LearnedInitialForce) -> dict[str, dict[str, Any]]:
     """Return quantiles of the iterations in a few episodes, by case and start.
 
-    The case "moved" is missing if the hand can hold the object by no moved contacts.
+    A case that cannot be played is missing, with a warning.
     """
-    rows: list[dict[str, Any]] = []
-    with suppress(SimulationError):
-        rows.extend(iterations(config, model, EPISODES, FIRST_SEED))
-    return {
-        case: {
-            start: quantiles(
-                np.array(
-                    [r["iterations"] for r in rows if (r["case"], r["start"]) == (case, start)]
-                )
-            )
-            for start in dict.fromkeys(row["start"] for row in rows)
-        }
-        for case in dict.fromkeys(row["case"] for row in rows)
-    }
+    scores: dict[str, dict[str, Any]] = {}
+    for case in CASES:
+        try:
+            rows = list(iterations(config, model, EPISODES, FIRST_SEED, cases=(case,)))
+        except SimulationError as error:
+            warn(f"contacts {case}: not scored, {error}")
+            continue
+        counts: dict[str, list[int]] = {}
+        for row in rows:
+            counts.setdefault(row["start"], []).append(row["iterations"])
+        scores[case] = {start: quantiles(np.array(found)) for start, found in counts.items()}
+    return scores
 
 
 def _planned(config: EnvConfig) -> EnvConfig:
