@@ -22,8 +22,9 @@ _MEAN_GAIN = 0.01
 """Gain of the mean action's last layer: stable-baselines3's for PPO, also used for SAC."""
 LAST = 0.1
 """Learning rate of PPO at the end, as a share of that at the beginning."""
-_SQUEEZE, _INSIDE = 0.75, 0.95
-"""Largest resting force as a share of what is allowed, and largest resting action."""
+_SQUEEZE, _INSIDE = 0.75, 0.999
+"""Largest resting force as a share of what is allowed, and largest resting action: the tanh of SAC
+never reaches 1."""
 _REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 _MOMENTS = ("mean", "var", "count")
 Arrays = dict[str, dict[str, np.ndarray]]
