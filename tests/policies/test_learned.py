@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import pickle
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -21,7 +22,10 @@ from grasp_env.force import (
 )
 from grasp_env.force.repair import carry_over, start_replaced
 from grasp_env.grasp import Grasp, presets, wrench
+from grasp_env.grasp.null_space import reference_basis
 from policies import LearnedInitialForce
+from policies.places import Places
+from training.data.grasps import EVALUATION, slide_contacts
 
 W = np.array(wrench.PAPER_CONSTANT)
 both = pytest.mark.parametrize("method", ["reduced_flow", "newton"])
@@ -71,6 +75,45 @@ def test_never_worse_whatever_the_weights_say(rule, size):
         optimizer = ForceOptimizer(presets.paper_cuboid(), method="newton", initial=wild)
         for w in wrenches[:30]:
             assert optimizer.solve(w).status.name == "OPTIMAL"
+
+
+@pytest.mark.parametrize("count", [3, 4, 5, 8])
+def test_never_worse_wherever_the_contacts_are(rule, count):
+    """Weights that depend on displacements, at random: random grasps, moved by up to 12 mm, 0.3 to
+    50 N."""
+    rng = np.random.default_rng(count)
+    shipped = rule.checkpoint
+    grasp = EVALUATION.closed(rng, count)
+    outputs = 3 * count - 6
+    sizes = (rule.sizes[0], 16, outputs)
+    terms = shipped.numbers["friction_degree"] + 1 + 2 * count
+    tensors = {
+        "reference": reference_basis(grasp),
+        "pairs": shipped.tensors["pairs"],
+        **vars(Places.of(grasp, 0.003)),
+    }
+    for layer, (a, b) in enumerate(pairwise(sizes)):
+        for name, shape in (("weight", (terms, b, a)), ("bias", (terms, b))):
+            tensors[f"layers.{layer}.{name}"] = rng.uniform(-0.2, 0.2, shape).astype(np.float32)
+    numbers = {**shipped.numbers, "sizes": list(sizes), "n_contacts": count}
+    model = LearnedInitialForce(replace(shipped, tensors=tensors, numbers=numbers))
+    wrenches = wrench.sample_magnitudes(rng, 100, 0.3, 50.0)
+    tried = 0
+    seen = []
+    for _ in range(20):
+        there = slide_contacts(rng, grasp, 0.0, 0.012)
+        if not EVALUATION.closes(there):
+            continue
+        tried += 1
+        for method in OWN:
+            assert not violations(model, there, wrenches, method).any()
+        for w in wrenches[:5]:
+            force = model(there, w)
+            assert there.residual(force, w) < 1e-11 * (np.abs(force).max() + np.abs(w).max())
+            assert there.cone_margin(force) > 0
+        seen.append(model.raw(there, wrenches[0]))
+    assert tried >= 5
+    assert np.std(seen, axis=0).max() > 1e-3  # the weights do change
 
 
 @pytest.mark.parametrize("count", [10_000, pytest.param(10_000_000, marks=pytest.mark.slow)])
