@@ -18,7 +18,9 @@ import training.rl.speed
 import training.rl.train
 from grasp_env.config import EnvConfig
 from grasp_env.config.env import as_config
-from grasp_env.errors import GraspError
+from grasp_env.env.env import FourFingerGrasp
+from grasp_env.errors import GraspError, InvalidInputError
+from grasp_env.grasp import Grasp
 from policies import TrainedAgent, ZeroPolicy, agent_files
 from policies.agent_files import ENV_ID, checkpoints, find_checkpoint, read_meta
 from training.data.episodes import EpisodeStep
@@ -236,9 +238,9 @@ def test_contact_forces_begin_at_rest(algorithm, hand):
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"mass": 1.0}, "too little to hold the object at rest; raise them"),
-        ({"agent": {"action_scale": 1.0}}, "action_scale 1 N"),
-        ({"limits": {"max_force": 1.0}}, "limits.max_force allows 1.0"),
+        ({"mass": 1.0}, "do not hold the object at rest: raise them"),
+        ({"agent": {"action_scale": 1.0}}, "at most 2 N, by agent.action_scale 1 N"),
+        ({"limits": {"max_force": 1.0}}, "at most 1 N, .* limits.max_force 1.0"),
     ],
 )
 def test_contact_forces_that_cannot_hold_are_refused(settings, message):
@@ -247,6 +249,40 @@ def test_contact_forces_that_cannot_hold_are_refused(settings, message):
     with pytest.raises(GraspError, match=message):
         build(config, envs, 0)
     envs.close()
+
+
+def test_resting_forces_on_random_objects():
+    """Objects, hands and ranges of actions at random, under a wrench from the first tick on."""
+    rng = np.random.default_rng(0)
+    held = 0
+    for k in range(12):
+        env = FourFingerGrasp(
+            hand=("four_finger", "allegro", "leap", "three_finger")[k % 4],
+            shape="sphere",
+            size=(float(rng.uniform(0.055, 0.075)),),
+            mass=float(rng.uniform(0.05, 0.4)),
+            friction=float(rng.uniform(0.5, 1.0)),
+            disturbance=("constant", "paper_path", "random")[k % 3],
+            action_mode="contact_force",
+            agent={"action_scale": float(rng.uniform(2.0, 10.0))},
+        )
+        try:
+            action = resting_action(env)
+        except InvalidInputError:  # of at most two, see below
+            continue
+        finally:
+            env.close()
+        held += 1
+        _, info = env.reset(seed=0)
+        seen = env.scene.look()
+        scale = env.config.agent.action_scale
+        force = scale * action.reshape(-1, 3) + [scale, 0.0, 0.0]
+        grasp = Grasp.from_contacts(seen.points, seen.normals, info["object_friction"])
+        weight = [*(info["object_mass"] * seen.rotation.T @ env.scene.gravity), 0.0, 0.0, 0.0]
+        assert grasp.residual(force, weight) < 1e-9 * np.linalg.norm(force)
+        assert grasp.cone_margin(force) > 0.0
+        env.close()
+    assert held >= 10
 
 
 def test_squeeze_is_saved_at_equal_success_only():

@@ -13,6 +13,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.errors import InvalidInputError, ModelFileError
+from grasp_env.force import optimize_force
 from grasp_env.grasp import Grasp
 from policies.agent_files import ENV_ID
 from training.rl.rl_config import RLConfig
@@ -65,31 +66,32 @@ def first_seed(seed: int, steps: int) -> int:
 def resting_action(env: FourFingerGrasp) -> np.ndarray:
     """Return the action (3N,) of the mode "contact_force" that holds the object at rest.
 
-    The forces balance the weight. They squeeze until one of them reaches `_SQUEEZE` of the largest:
-    the lightest ones that balance slip at the first disturbance.
+    To the least forces that balance the weight it adds the optimal squeeze without a load, until one
+    force reaches `_SQUEEZE` of the largest: lighter ones slip at the first disturbance.
 
     Raises:
         InvalidInputError: actions in [-1, 1] cannot hold the object.
     """
     _, info = env.reset(seed=0)
     seen = env.scene.look()
-    grasp = Grasp.from_contacts(seen.points, seen.normals, info["object_friction"])
-    least = -np.linalg.pinv(grasp.matrix) @ info["wrench"]
-    internal = info["commanded_force"].reshape(-1) - least
+    item = env.episode.object
+    soft = {"contact_model": "soft", "torsional_friction": item.torsional_friction}
+    model = soft if item.torsional_friction > 0.0 else {}
+    grasp = Grasp.from_contacts(seen.points, seen.normals, info["object_friction"], **model)
+    # the weight alone: a disturbance may act from the first tick on
+    weight = np.zeros(6)
+    weight[:3] = info["object_mass"] * env.scene.gravity @ seen.rotation
+    least = -np.linalg.pinv(grasp.matrix) @ weight
+    squeeze = optimize_force(grasp, np.zeros(6)).force.reshape(-1)
     scale = env.config.agent.action_scale
     most = min(2.0 * scale, env.config.limits.max_force or np.inf)
-    factors = (_SQUEEZE * most - least[::3]) / np.maximum(internal[::3], 1e-6)
-    force = least + factors.min() * internal
-    if grasp.cone_margin(force.reshape(-1, 3)) <= 0.0:
-        raise InvalidInputError(
-            f"agent.action_scale {scale:g} N gives normal forces up to {2.0 * scale:g} N, and limits.max_force allows "
-            f"{env.config.limits.max_force}: too little to hold the object at rest; raise them, or make it lighter"
-        )
-    force[::3] -= scale
+    force = least + ((_SQUEEZE * most - least[::3]) / squeeze[::3]).min() * squeeze
     action = force / scale
-    if np.abs(action).max() > 1.0:
+    action[::3] -= 1.0
+    if grasp.cone_margin(force.reshape(-1, 3)) <= 0.0 or np.abs(action).max() > 1.0:
         raise InvalidInputError(
-            f"agent.action_scale {scale:g} N is too little to hold the object at rest, which takes {np.abs(force).max():.3g} N: raise it"
+            f"forces of at most {most:g} N, by agent.action_scale {scale:g} N and limits.max_force {env.config.limits.max_force}, do not hold the "
+            "object at rest: raise them, or make it lighter"
         )
     return action.clip(-_INSIDE, _INSIDE)
 
