@@ -67,7 +67,7 @@ template <class R, int D, int T> class RowSystem {
         own_[k] = block.update(shapes[i].transposed(rows.own[k].row), rows.own[k].shared, weight);
         add_corner(own_[k].weight, own_[k].shared);
       });
-      for (int j = 0; j < D; ++j) block.inverse[j] = 1.0 / block.d[j];
+      block.finish();
       Tuple<R, D>* reduced = reduced_.data() + leads * i;
       Tuple<R, D>* turned = turned_.data() + leads * i;
       const Tuple<R, D>* columns = rows.columns.data() + rows.joint * i;
@@ -202,87 +202,12 @@ template <class R, int D, int T> class RowSystem {
     return most;
   }
 
-  static constexpr int K = D + T;
   // fraction of a pivot that rounding may cause
   static constexpr double LOST = std::is_same_v<R, double> ? 1e-15 : 1e-30;
   // keeps the pivot of the doubtful equation from zero; refinement removes its effect
   static constexpr double DOUBT = 1e-9;
-  // A row as an update of its block's factor, column by column, and its effect on right-hand sides
-  // and solutions. No difference cancels, however large the row is.
-  struct Own {
-    // entries of the row, its part of the block's row, old over new pivot
-    Tuple<R, D> p, beta, ratio;
-    Tuple<R, T> shared;  // remainder for the shared variables, and its weight
-    R weight;
-
-    // b: D^-1 L^-1 of the block's right-hand side, without and then with `right` of this row.
-    // Return the remainder of `right`.
-    R forward(Tuple<R, D>& b, R right) const {
-#pragma GCC unroll 8
-      for (int j = 0; j < D; ++j) {
-        right -= p[j] * b[j];
-        b[j] += beta[j] * right;
-      }
-      return right;
-    }
-    // row . e + shared . t - right, from its remainder. rest: residual of the block's rows with
-    // this row, then without.
-    R backward(Tuple<R, D>& rest, R left) const {
-#pragma GCC unroll 8
-      for (int j = D - 1; j >= 0; --j) {
-        const R before = left;
-        left = ratio[j] * before + p[j] * rest[j];
-        rest[j] -= beta[j] * before;
-      }
-      return left;
-    }
-  };
-  // L diag(d) L^T of the identity plus the rows' rank-one terms, bordered by the shared variables.
-  struct Block {
-    R l[K][D] = {}, d[D], inverse[D];
-
-    Block() {
-      for (int j = 0; j < D; ++j) d[j] = 1.0;
-    }
-    Own update(const Tuple<R, D>& row, const Tuple<R, T>& shared, R weight) {
-      Own own;
-      R w[K];
-      for (int j = 0; j < D; ++j) w[j] = row[j];
-      for (int k = 0; k < T; ++k) w[D + k] = shared[k];
-#pragma GCC unroll 8
-      for (int j = 0; j < D; ++j) {
-        const R p = w[j];
-        const R more = d[j] + weight * p * p;
-        const R per = R(1.0) / more;
-        own.p[j] = p;
-        own.beta[j] = weight * p * per;
-        own.ratio[j] = d[j] * per;
-        weight *= own.ratio[j];
-        d[j] = more;
-#pragma GCC unroll 8
-        for (int r = j + 1; r < K; ++r) {
-          w[r] -= p * l[r][j];
-          l[r][j] += own.beta[j] * w[r];
-        }
-      }
-      for (int k = 0; k < T; ++k) own.shared[k] = w[D + k];
-      own.weight = weight;
-      return own;
-    }
-    Tuple<R, D> forward(Tuple<R, D> b) const {
-#pragma GCC unroll 8
-      for (int j = 1; j < D; ++j)
-#pragma GCC unroll 8
-        for (int k = 0; k < j; ++k) b[j] -= l[j][k] * b[k];
-      return b;
-    }
-    void backward(Tuple<R, D>& b) const {
-#pragma GCC unroll 8
-      for (int j = D - 2; j >= 0; --j)
-#pragma GCC unroll 8
-        for (int k = j + 1; k < D; ++k) b[j] -= l[k][j] * b[k];
-    }
-  };
+  using Own = RowUpdate<R, D, T>;
+  using Block = RowBlock<R, D, T>;
   ArenaVector<Own> own_;
   ArenaVector<Block> blocks_;
   // leading joint rows (N, leads) in the blocks' coordinates, and L^-1 of them

@@ -4,18 +4,12 @@
 #include <algorithm>
 #include <span>
 #include <grasp/math/arena.hpp>
+#include <grasp/math/row_block.hpp>
 #include <grasp/math/vec.hpp>
 
 namespace grasp {
 
-// R: double, or `DoubleDouble` if that has too few digits.
-template <class R, int K> using Tuple = std::array<R, K>;
-template <class R, std::size_t K>
-inline R inner(const std::array<R, K>& a, const std::array<R, K>& b) {
-  R total = 0.0;
-  for (std::size_t k = 0; k < K; ++k) total += a[k] * b[k];
-  return total;
-}
+// Of Tuple<R, K>; R: double, or `DoubleDouble` if that has too few digits.
 template <class R, std::size_t K>
 inline void add(std::array<R, K>& to, const R& k, const std::array<R, K>& a) {
   for (std::size_t j = 0; j < K; ++j) to[j] += k * a[j];
@@ -41,17 +35,6 @@ template <class R, class F> [[gnu::always_inline]] inline auto sized(int joint, 
   if constexpr (std::is_same_v<R, double>)
     if (joint == 6) return f(std::integral_constant<int, 6>());
   return f(joint);
-}
-
-// A tuple as a vector in cone coordinates, and back.
-template <class R> inline Vec<R, 3> cone(const std::array<R, 3>& z) { return {z[0], z[1], z[2]}; }
-template <class R> inline Vec<R, 4> cone(const std::array<R, 4>& z) {
-  return {z[0], z[1], z[2], z[3]};
-}
-template <class R, int D> inline Tuple<R, D> tuple(const Vec<R, D>& x) {
-  Tuple<R, D> out;
-  for (int a = 0; a < D; ++a) out[a] = x[a];
-  return out;
 }
 
 // F with dz = F e: coordinates in which a block is the identity before its rows are added.
