@@ -32,6 +32,7 @@ template <class V, int B> class Algorithms {
     const auto algorithm = algorithm_for(on_.options, kind);
     if (!algorithm) return unserved();
     const bool general_serves = algorithm == Algorithm::general ||
+                                algorithm == Algorithm::limited_conic ||
                                 (kind == ProblemKind::soft && starts_.requested() == Start::given);
     const Code code = general_serves ? UNDECIDED : starts_.find();
     if (code == CONVERGED) {
@@ -108,6 +109,8 @@ template <class V, int B> class Algorithms {
         return flow();
       case Algorithm::conic:
         return conic();
+      case Algorithm::limited_conic:
+        return limited_conic();
       default:
         return general();
     }
@@ -249,6 +252,14 @@ template <class V, int B> class Algorithms {
     return program ? program->least_normal_from(call_.stop, record_) : code;
   }
 
+  Code limited_conic() {
+    call_.used = {.start = Start::central};
+    if (!on_.has_internal_force(Search::thorough)) return general();
+    const Code code = on_.solve_limited_conic(call_.wrench.data());
+    if (code == CONVERGED || (code == INFEASIBLE && !on_.options.elastic)) return code;
+    return general();
+  }
+
   // The least excess has steps of its own: where no force keeps the limits, a descent may spend all
   // of the call's.
   Code general() {
@@ -305,7 +316,8 @@ template <class V, int B> class Algorithms {
   // Solve without limits into `given`. Return true if that optimum is well within the limits: such
   // a start costs a tenth of the deepest force. spent: number of steps.
   bool solve_without_limits(General& program, int limit, int& spent) {
-    if (on_.placement.kind != ProblemKind::other || !on_.is_full_rank() ||
+    const ProblemKind kind = on_.placement.kind;
+    if ((kind != ProblemKind::joined && kind != ProblemKind::soft_limited) || !on_.is_full_rank() ||
         !on_.has_internal_force())
       return false;
     auto& newton = on_.newton;

@@ -50,6 +50,7 @@ class CurrentContacts {
   double friction_margin = 1.0;      // of this call; `now` has the friction within it
   Preload preload;                   // of `now`
   int joints;
+  bool tabulates = true;    // a call fills `table`
   LimitTable table;         // limits of the current contacts, if each acts on one contact
   std::vector<int> chosen;  // indices of the contacts that touch
   bool separate = true;     // true if each limit acts on one contact
@@ -237,7 +238,7 @@ class CurrentContacts {
     for (int i : std::span(chosen).first(now.count))
       if (!usable(jacobian_.subspan(per_contact * i, per_contact))) return false;
     if (!usable(bias_)) return false;
-    if (limits.rows) separate = table.fill(now, limits_in_place(), 4, preload);
+    if (limits.rows && tabulates) separate = table.fill(now, limits_in_place(), 4, preload);
     return true;
   }
   // Jacobian (n, 4, J): velocities along (normal, o, t), and the angular velocity about the normal.

@@ -9,14 +9,14 @@ enum class ProblemKind {
   hard,     // hard, elliptic and frictionless contacts
   limited,  // the same, with limits on one contact each: normal forces, joints of one finger
   soft,     // some contacts are soft, and the normal and tangential forces alone give force closure
-  // everything else: joints that several fingers share, soft contacts within limits, contacts that
-  // need torsion to balance wrenches of every direction, or cannot
-  other,
+  joined,   // the same, with limits on several contacts: joints that fingers share
+  soft_limited,  // both
+  other,         // contacts that need torsion to balance wrenches of every direction, or cannot
 };
-enum class Algorithm { newton, limited, soft, flow, conic, general };
+enum class Algorithm { newton, limited, soft, flow, conic, limited_conic, general };
 
-// If Newton, its variants or the algorithm `conic` give up, the general program takes over. Soft
-// and limited problems of the method `conic` begin with it. If it gives up, it proves that there is
+// If Newton, its variants or the conic algorithms give up, the general program takes over. If it
+// gives up, it proves that there is
 // no force or leaves the call UNDECIDED (`general/deepest.hpp`). A flow has no fallback.
 struct Plan {
   Method method;
@@ -27,18 +27,22 @@ inline constexpr Plan PLANS[] = {
     {Method::newton, ProblemKind::hard, Algorithm::newton},
     {Method::newton, ProblemKind::limited, Algorithm::limited},
     {Method::newton, ProblemKind::soft, Algorithm::soft},
+    {Method::newton, ProblemKind::joined, Algorithm::general},
+    {Method::newton, ProblemKind::soft_limited, Algorithm::general},
     {Method::newton, ProblemKind::other, Algorithm::general},
     {Method::reduced_flow, ProblemKind::hard, Algorithm::flow},
     {Method::full_flow, ProblemKind::hard, Algorithm::flow},
     {Method::conic, ProblemKind::hard, Algorithm::conic},
-    {Method::conic, ProblemKind::limited, Algorithm::general},
-    {Method::conic, ProblemKind::soft, Algorithm::general},
+    {Method::conic, ProblemKind::limited, Algorithm::limited_conic},
+    {Method::conic, ProblemKind::joined, Algorithm::limited_conic},
+    {Method::conic, ProblemKind::soft, Algorithm::limited_conic},
+    {Method::conic, ProblemKind::soft_limited, Algorithm::limited_conic},
     {Method::conic, ProblemKind::other, Algorithm::general},
 };
 inline std::optional<Algorithm> algorithm_for(const Options& options, ProblemKind kind) {
   for (const Plan& plan : PLANS)
     if (plan.method == options.method && plan.kind == kind)
-      return plan.algorithm == Algorithm::conic && options.criterion != Criterion::sum
+      return plan.method == Method::conic && options.criterion != Criterion::sum
                  ? Algorithm::general
                  : plan.algorithm;
   return {};

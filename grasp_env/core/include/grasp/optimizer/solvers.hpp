@@ -1,5 +1,6 @@
 // The solvers of an optimizer, placed on the contacts and limits of the current call.
 #pragma once
+#include <grasp/conic/limited.hpp>
 #include <grasp/flow/flow.hpp>
 #include <grasp/general/general.hpp>
 #include <grasp/many/basis.hpp>
@@ -85,11 +86,18 @@ template <class V, int B> class Solvers {
         general_(count(), current.limits.rows, current.home.soft(),
                  options.criterion == Criterion::torque ? current.joints : 0) {
     check(current, options);
-    if (current.limits.rows) {
+    const bool conic = options.method == Method::conic;
+    current.tabulates = !conic;
+    if (current.limits.rows && !conic) {
       limited.emplace(count());
       limited->elastic = options.elastic;
     }
-    if (current.home.soft()) soft.emplace(count());
+    if (current.home.soft() && !conic) soft.emplace(count());
+    const StopRule stop{options.gap(), std::min(options.limit, General::CONIC_ITERATIONS)};
+    if (conic && current.home.soft())
+      soft_conic_.emplace(count(), stop);
+    else if (conic && current.limits.rows)
+      limited_conic_.emplace(count(), stop);
     place_home();
     if (options.method == Method::reduced_flow)
       flow_.emplace(newton.cones, options.step_rule, Form::reduced);
@@ -117,6 +125,8 @@ template <class V, int B> class Solvers {
     if (limited)
       limited->newton.rows.reserve(newton.cones,
                                    std::min(current.limits.rows, LimitTable::MOST_ROWS));
+    if (limited_conic_) limited_conic_->reserve(current.limits.rows);
+    if (soft_conic_) soft_conic_->reserve(current.limits.rows);
     place({});
     home_tangents.load(current.home.frames.data(), count());
   }
@@ -150,6 +160,12 @@ template <class V, int B> class Solvers {
   void place_soft() {
     soft->newton.cones.count = current.now.count;
     soft->newton.cones.pack(current.now);
+  }
+  // Solve the exact problem with limits or soft contacts, around `internal_force`. REFUSED: numbers
+  // are too large.
+  Code solve_limited_conic(const double* wrench) {
+    return soft_conic_ ? solve_limited_conic(*soft_conic_, wrench)
+                       : solve_limited_conic(*limited_conic_, wrench);
   }
   // The flow, or null if G has lost rank.
   FlowSolver<V, B>* flow() {
@@ -199,7 +215,9 @@ template <class V, int B> class Solvers {
   ConicSolver<V, B> conic_;
   std::optional<FlowSolver<V, B>> flow_;
   General general_;
-  PerPlacement<bool> conic_placed_, flow_placed_, general_placed_;
+  std::optional<LimitedConic<V, B>> limited_conic_;
+  std::optional<LimitedConic<V, B, 4>> soft_conic_;
+  PerPlacement<bool> conic_placed_, limited_conic_placed_, flow_placed_, general_placed_;
   PerPlacement<InternalForce> internal_force_;
 
   int count() const { return current.home.count; }
@@ -212,9 +230,9 @@ template <class V, int B> class Solvers {
     newton.cones.pack(current.now);
     starter.tangents.load(current.now.frames.data(), current.now.count);
     placement.kind = kind();
-    if (placement.kind == ProblemKind::soft) {
+    if (soft && placement.kind == ProblemKind::soft) {
       place_soft();
-    } else if (placement.kind == ProblemKind::limited) {
+    } else if (limited && placement.kind == ProblemKind::limited) {
       limited->newton.cones = newton.cones;
       limited->newton.rows.pack(newton.cones, current.table.rows());
     }
@@ -223,8 +241,10 @@ template <class V, int B> class Solvers {
   ProblemKind kind() const {
     const bool soft = current.now.soft();
     const bool limited = current.limits.rows > 0;
-    if (!is_full_rank() || !current.separate || (soft && limited)) return ProblemKind::other;
-    return soft ? ProblemKind::soft : limited ? ProblemKind::limited : ProblemKind::hard;
+    if (!is_full_rank()) return ProblemKind::other;
+    if (soft) return limited ? ProblemKind::soft_limited : ProblemKind::soft;
+    if (!limited) return ProblemKind::hard;
+    return current.separate ? ProblemKind::limited : ProblemKind::joined;
   }
   // Set the number of contacts. Unused lanes hold a contact without effect.
   void set_count(int count) {
@@ -238,6 +258,20 @@ template <class V, int B> class Solvers {
     if (soft) clear(soft->newton.x);
   }
 
+  template <int D> Code solve_limited_conic(LimitedConic<V, B, D>& solver, const double* wrench) {
+    const auto place = [&] {
+      solver.cones.count = current.now.count;
+      if constexpr (D == 3)
+        solver.cones = newton.cones;
+      else
+        solver.cones.pack(current.now);
+      return solver.limits.pack(solver.cones, current.limits_in_place(), current.preload);
+    };
+    if (!limited_conic_placed_.at(placement, place)) return REFUSED;
+    for (std::size_t b = 0; b < solver.rest.size(); ++b)
+      for (int a = 0; a < 3; ++a) solver.rest[b][a] = conic_.rest[b][a];
+    return solver.solve(wrench, record(), answer.multipliers.data());
+  }
   bool needs_basis() const {
     const Start start = options.start;
     return flow_ || start == Start::linear_combination ||
