@@ -104,7 +104,6 @@ def test_where_calls_begin(said, name, start, replaced):
 @pytest.mark.parametrize(
     ("one", "other"),
     [
-        ("moved", "made there"),
         ("updated there", "made there"),
         ("as before", "limited"),
         ("copied", "limited"),
@@ -118,6 +117,13 @@ def test_what_a_call_is_given_holds_for_it_alone(said, one, other):
     """To the last printed digit; and a copy is an independent solver."""
     assert said[one] == said[other]
     assert said["moved"] != said["limited"]
+
+
+def test_contacts_that_move_have_the_optimum_of_their_place(said):
+    """A call begins at the problem's internal force, so both agree to the tolerance."""
+    moved, there = numbers(said["moved"]), numbers(said["made there"])
+    assert moved["objective"] == pytest.approx(there["objective"], rel=2e-9)
+    assert (moved["code"], moved["start"]) == (there["code"], there["start"])
 
 
 def test_records_without_a_force_have_a_code_and_hold_zeros(said):

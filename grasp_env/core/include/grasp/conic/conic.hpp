@@ -63,13 +63,26 @@ template <class V, int B> class ConicSolver : public ConicSteps<V, B> {
     UnitWrench posed;
     Summary& out = record.summary();
     if (!begin_record(wrench, posed, record)) return Code(int(out.code));
+    this->start(posed.minus);
     Code code = descend<false>(posed, record);
     if (code == STALLED) {  // S has lost its digits
       const double tried = out.iterations;
+      this->start(posed.minus);
       code = descend<true>(posed, record);
       out.trials += tried;
     }
     return code;
+  }
+  // Go on from the iterate of a solver that has lost digits: x, s and `first` in `at`, and y, for a
+  // wrench of size 1. Needs no internal force.
+  Code solve_from_iterate(const double* wrench, const Record& record) {
+    UnitWrench posed;
+    for (auto& x : rest) x = axis<3>(all<V>(1.0));
+    if (!begin_record(wrench, posed, record)) return Code(int(record.summary().code));
+    this->advance(0.0, 0.0);
+    for (int k = 0; k < SETTLINGS; ++k)  // restore balance
+      if (!factor_axes() || !exact_step(posed.minus, 1.0)) break;
+    return descend<true>(posed, record);
   }
 
   // Write the answer at the iterate with its certificate; the gap of the iterations is no proof.
@@ -120,6 +133,7 @@ template <class V, int B> class ConicSolver : public ConicSteps<V, B> {
   }
 
  private:
+  static constexpr int SETTLINGS = 2;
   static constexpr int SEARCH = 60;  // steps; a dozen is usual
   // fraction of the twist by which a proof must be strict
   static constexpr double ROUNDING = 1e-12;
@@ -128,11 +142,10 @@ template <class V, int B> class ConicSolver : public ConicSteps<V, B> {
   std::vector<double> fitted_;  // scaled, in the axes
   using Steps::blocks;
 
-  // Descend from the start and write the record. EXACT: find dy by least squares instead of S,
+  // Descend from the iterate and write the record. EXACT: find dy by least squares instead of S,
   // whose condition number is squared.
   template <bool EXACT> Code descend(const UnitWrench& posed, const Record& record) {
     const Vec6& minus = posed.minus;
-    this->start(minus);
     double goal = options.tolerance;
     for (int iterations = 0;; ++iterations) {
       while (this->gap <= goal * this->objective) {
@@ -144,9 +157,7 @@ template <class V, int B> class ConicSolver : public ConicSteps<V, B> {
       const bool sound = !ends && (EXACT ? factor_axes() : this->system() > 0.0);
       bool moves = false;
       if constexpr (EXACT) {
-        if (sound)
-          moves = this->template step<true>(fit([](const At& at) { return at.m.scaled(at.s); }),
-                                            [&](const Vec6&) { return correction(missed(minus)); });
+        if (sound) moves = exact_step(minus, 0.0);
       } else {
         if (sound)
           moves = this->template step<false>(
@@ -166,6 +177,11 @@ template <class V, int B> class ConicSolver : public ConicSteps<V, B> {
     return sums(total) - minus;
   }
 
+  bool exact_step(const Vec6& minus, double least) {
+    return this->template step<true>(
+        fit([](const At& at) { return at.m.scaled(at.s); }),
+        [&](const Vec6&) { return correction(missed(minus)); }, least);
+  }
   // M by its axes: along v, against it, and across both. None of its entries is a difference or
   // loses digits to a larger one.
   struct RootAxes {

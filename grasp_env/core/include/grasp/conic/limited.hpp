@@ -21,15 +21,27 @@ template <class V, int B, int D = 3> class LimitedConic {
   using X = Vec<V, D>;
   using Field = typename Cones<V, B, D>::Field;
   Cones<V, B, D> cones;
-  Field rest;  // an internal force strictly inside the cones
+  Field inside;  // a force strictly inside the cones: the start, or an internal force
   ConicLimits<V, B, D> limits;
   StopRule options;
 
   LimitedConic(int count, const StopRule& options)
-      : cones(count), rest(cones.field()), options(options), force_(rest) {
+      : cones(count), inside(cones.field()), options(options), force_(inside) {
     resize(at_, cones.blocks.size());
   }
 
+  // Write the last iterate into the solver without limits.
+  void store_iterate(ConicSteps<V, B>& to) const
+    requires(D == 3)
+  {
+    for (int b = 0; b < blocks(); ++b) {
+      to.at[b].x = at_[b].x;
+      to.at[b].s = at_[b].s;
+      to.at[b].first = at_[b].first;
+      to.at[b].q = to.at[b].d = X{};
+    }
+    to.y = y_;
+  }
   // Make solving free of allocations for up to this many rows.
   void reserve(int rows) {
     limits.reserve(cones, rows);
@@ -37,13 +49,14 @@ template <class V, int B, int D = 3> class LimitedConic {
     joint_reduced_.reserve(std::size_t(rows) * at_.size());
   }
 
-  // Solve for a wrench. CONVERGED: the record and `multipliers` (one of each row) hold the optimum.
-  // INFEASIBLE: they hold the proof. Otherwise the record says nothing.
-  Code solve(const double* wrench, const Record& record, double* multipliers) {
+  // Solve for a wrench. balanced: `inside` balances it. CONVERGED: the record and `multipliers`
+  // (one of each row) hold the optimum. INFEASIBLE: they hold the proof. Otherwise the record says
+  // nothing.
+  Code solve(const double* wrench, bool balanced, const Record& record, double* multipliers) {
     record.clear();
     Summary& out = record.summary();
     out.code = REFUSED;
-    if (!is_valid_wrench(wrench) || !cones.is_in_range(rest) || !(cones.margin(rest) > 0.0))
+    if (!is_valid_wrench(wrench) || !cones.is_in_range(inside) || !(cones.margin(inside) > 0.0))
       return REFUSED;
     std::copy(wrench, wrench + 6, out.wrench.begin());
     const Vec6 load = cones.unit.of(wrench);
@@ -51,7 +64,7 @@ template <class V, int B, int D = 3> class LimitedConic {
     if (!(unit_ >= NOTHING)) return REFUSED;
     minus_ = (-1.0 / unit_) * load;
     limits.scale(unit_);
-    start();
+    start(balanced);
     int iterations = 0;
     const Code code = descend(record, iterations);
     if (code == CONVERGED) {
@@ -128,20 +141,20 @@ template <class V, int B, int D = 3> class LimitedConic {
     return sum(total);
   }
 
-  // x = -G^+ w + k rest inside the cones; multipliers small enough for s
-  void start() {
+  // x = inside, or -G^+ w + k inside; multipliers small enough for s
+  void start(bool balanced) {
     V squeeze = all<V>(1e-6);
     for (int b = 0; b < blocks(); ++b) {
-      at_[b].x = cones.blocks[b].least(minus_);
-      squeeze = max(squeeze, -slack(at_[b].x) / slack(rest[b]));
+      at_[b].x = balanced ? X{} : cones.blocks[b].least(minus_);
+      squeeze = max(squeeze, -slack(at_[b].x) / slack(inside[b]));
     }
-    const V k = all<V>(1.3 * largest(squeeze));
+    const V k = all<V>(balanced ? 1.0 / unit_ : 1.3 * largest(squeeze));
     V most{}, product{};
     V price = all<V>(infinity);
     for (int b = 0; b < blocks(); ++b) {
       const auto& c = cones.blocks[b];
       At& at = at_[b];
-      at.first = at.x += k * rest[b];
+      at.first = at.x += k * inside[b];
       at.s = axis<D>(c.cost);
       most = max(most, c.mask * at.x.u);
       product += c.mask * c.cost * at.x.u;
@@ -475,17 +488,25 @@ template <class V, int B, int D = 3> class LimitedConic {
     for (int j = 0; j < limits.joint_rows(); ++j)
       outside.add(limits.joints[j].outside(along_joint(j, [&](int b) { return at_[b].d; })));
     cones.store_force(force_, record.initial_force());
-    for (int b = 0; b < blocks(); ++b) force_[b] = all<V>(unit_) * at_[b].d;
-    const Vec6 load = (-unit_) * minus_;
-    cones.certify(force_, load, record);
+    for (int b = 0; b < blocks(); ++b) force_[b] = at_[b].d;
+    // in units of the wrench: squares of tiny forces would be zero
+    const Vec6 load = -1.0 * minus_;
+    const double margin = cones.margin(force_);
+    const double residual = cones.residual(force_, load);
+    const bool balanced = cones.balanced(force_, load, residual);
+    for (auto& x : force_) x = all<V>(unit_) * x;
+    cones.store_force(force_, record.force());
+    cones.store_torsion(force_, record.torsion());
     const double steepest = largest(per);
     theta_ = steepest > 1.0 ? 1.0 / steepest : 1.0;
     Summary& out = record.summary();
+    out.margin = unit_ * margin;
+    out.residual = unit_ * residual;
     out.objective = unit_ * sum(objective);
     out.lower_bound = std::max(0.0, theta_ * unit_ * dual_value());
     out.multipliers = cones.unit.pull_back(theta_ * y_);
-    const bool good = !(outside.value() > 0.0) && out.margin >= 0.0 && out.lower_bound > 0.0 &&
-                      cones.balanced(force_, load, out.residual);
+    const bool good =
+        !(outside.value() > 0.0) && margin >= 0.0 && out.lower_bound > 0.0 && balanced;
     return good ? (out.objective - out.lower_bound) / out.lower_bound : infinity;
   }
 };

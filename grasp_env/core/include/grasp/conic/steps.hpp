@@ -167,6 +167,21 @@ template <class V, int B> class ConicSteps {
     return sum(objective);
   }
 
+  // Take the step, and find the gap and the objective there.
+  [[gnu::always_inline]] void advance(const S& primal, const S& dual) {
+    V left{}, cost{};
+    for (int b = 0; b < blocks(); ++b) {
+      auto& here = at[b];
+      const auto& c = cones.blocks[b];
+      here.x += all<V>(primal) * here.q;
+      here.s += all<V>(dual) * here.d;
+      left += c.mask * dot(here.x, here.s);
+      cost += c.mask * c.cost * here.x.u;
+    }
+    gap = sum(left);
+    objective = sum(cost);
+  }
+
  private:
   static constexpr double STEP = 0.995;  // largest fraction of the way to the boundary
 
@@ -241,20 +256,6 @@ template <class V, int B> class ConicSteps {
       here.d = d;
     }
     return {reach / largest(primal), reach / largest(dual)};
-  }
-
-  [[gnu::always_inline]] void advance(const S& primal, const S& dual) {
-    V left{}, cost{};
-    for (int b = 0; b < blocks(); ++b) {
-      auto& here = at[b];
-      const auto& c = cones.blocks[b];
-      here.x += all<V>(primal) * here.q;
-      here.s += all<V>(dual) * here.d;
-      left += c.mask * dot(here.x, here.s);
-      cost += c.mask * c.cost * here.x.u;
-    }
-    gap = sum(left);
-    objective = sum(cost);
   }
 };
 

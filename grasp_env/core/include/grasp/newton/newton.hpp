@@ -98,9 +98,13 @@ template <class V, int B, class Rows = NoRows, int D = 3> class NewtonSolver {
   // The same, scaled to least Phi, into `rest`.
   bool find_rest(Field& rest, bool few = false) {
     if (!internal_force(few)) return false;
+    scale_rest(rest);
+    return true;
+  }
+  // x, an internal force, scaled to least Phi.
+  void scale_rest(Field& rest) const {
     const V scale = all<V>(best_scale(cones, x));
     for (int b = 0; b < int(x.size()); ++b) rest[b] = scale * x[b];
-    return true;
   }
 
   // Check balance, cones and gap of the answer.

@@ -239,24 +239,29 @@ template <class V, int B> class Algorithms {
 
   Code conic() {
     call_.used = {.start = Start::central};
-    if (!on_.has_internal_force()) {
-      const Code interior = starts_.find_interior();
-      call_.used.start = Start::central;
-      if (interior == INFEASIBLE) return write_proof();
-      if (!on_.has_internal_force(Search::thorough)) return general();
-    }
+    if (!on_.has_internal_force()) return limited_conic();
     const Code code = on_.conic().solve(call_.wrench.data(), record_);
     if (code == REFUSED) return general();
     if (code == CONVERGED) return code;
     General* program = on_.general();
     return program ? program->least_normal_from(call_.stop, record_) : code;
   }
-
   Code limited_conic() {
     call_.used = {.start = Start::central};
-    if (!on_.has_internal_force(Search::thorough)) return general();
-    const Code code = on_.solve_limited_conic(call_.wrench.data());
+    const bool closed = on_.has_internal_force();
+    if (!closed) {
+      const Code interior = starts_.find_interior();
+      call_.used.start = Start::central;
+      const bool soft = on_.current.now.soft();
+      if (interior == INFEASIBLE && !soft) return write_proof();
+      if (interior != CONVERGED) return general();
+    }
+    const Code code = on_.solve_limited_conic(
+        call_.wrench.data(), closed ? on_.internal_force() : on_.newton.x, !closed);
     if (code == CONVERGED || (code == INFEASIBLE && !on_.options.elastic)) return code;
+    const bool hard = on_.placement.kind == ProblemKind::hard;
+    if (hard && code != REFUSED && on_.finish_conic(call_.wrench.data()) == CONVERGED)
+      return CONVERGED;
     return general();
   }
 

@@ -36,10 +36,6 @@ template <class T> class PerPlacement {
   T value_{};
 };
 
-// How an internal force is searched for: not yet; with as many steps as are nearly always enough;
-// until it is found or out of digits.
-enum class Search { none, quick, thorough };
-
 // A force and its torsions; an answer with the multipliers of the limits. Space for all contacts.
 struct Given {
   std::vector<double> force, torsion;
@@ -96,7 +92,7 @@ template <class V, int B> class Solvers {
     const StopRule stop{options.gap(), std::min(options.limit, General::CONIC_ITERATIONS)};
     if (conic && current.home.soft())
       soft_conic_.emplace(count(), stop);
-    else if (conic && current.limits.rows)
+    else if (conic)
       limited_conic_.emplace(count(), stop);
     place_home();
     if (options.method == Method::reduced_flow)
@@ -127,7 +123,11 @@ template <class V, int B> class Solvers {
                                    std::min(current.limits.rows, LimitTable::MOST_ROWS));
     if (limited_conic_) limited_conic_->reserve(current.limits.rows);
     if (soft_conic_) soft_conic_->reserve(current.limits.rows);
-    place({});
+    home_depth_ = 0.0;
+    if (place({}) == CONVERGED && is_full_rank() && has_internal_force()) {
+      home_rest_ = conic_.rest;
+      home_depth_ = newton.cones.depth(home_rest_);
+    }
     home_tangents.load(current.home.frames.data(), count());
   }
   // Replace the contacts and limits of the problem. Return false, with nothing changed, if the
@@ -161,11 +161,19 @@ template <class V, int B> class Solvers {
     soft->newton.cones.count = current.now.count;
     soft->newton.cones.pack(current.now);
   }
-  // Solve the exact problem with limits or soft contacts, around `internal_force`. REFUSED: numbers
-  // are too large.
-  Code solve_limited_conic(const double* wrench) {
-    return soft_conic_ ? solve_limited_conic(*soft_conic_, wrench)
-                       : solve_limited_conic(*limited_conic_, wrench);
+  // Solve the exact problem with limits, soft contacts or without force closure from `inside`,
+  // which is strictly inside the cones: a balanced force, or an internal one. REFUSED: numbers are
+  // too large.
+  Code solve_limited_conic(const double* wrench, const Field& inside, bool balanced) {
+    return soft_conic_ ? solve_limited_conic(*soft_conic_, wrench, inside, balanced)
+                       : solve_limited_conic(*limited_conic_, wrench, inside, balanced);
+  }
+  // Go on without limits from its last iterate, with more digits. Spoils the internal force.
+  Code finish_conic(const double* wrench) {
+    ConicSolver<V, B>& solver = conic();
+    internal_force_.at(placement, [] { return false; }) = false;
+    limited_conic_->store_iterate(solver);
+    return solver.solve_from_iterate(wrench, record());
   }
   // The flow, or null if G has lost rank.
   FlowSolver<V, B>* flow() {
@@ -185,13 +193,11 @@ template <class V, int B> class Solvers {
 
   // An internal force of least Phi, if `has_internal_force`. The exact solver starts from it.
   const Field& internal_force() const { return conic_.rest; }
-  // True if an internal force strictly inside the cones is known. Otherwise search for one; this
-  // overwrites `newton.x`.
-  bool has_internal_force(Search search = Search::quick) {
-    InternalForce& at = internal_force_.at(placement, [] { return InternalForce{}; });
-    if (!at.found && at.searched < search)
-      at = {search, newton.find_rest(conic_.rest, search == Search::quick)};
-    return at.found;
+  // True if an internal force strictly inside the cones is known, or found with as many steps as
+  // are nearly always enough. Overwrites `newton.x`.
+  bool has_internal_force() {
+    return internal_force_.at(
+        placement, [&] { return carries_home_rest() || newton.find_rest(conic_.rest, true); });
   }
 
   // --- the 12-basis
@@ -208,20 +214,35 @@ template <class V, int B> class Solvers {
   }
 
  private:
-  struct InternalForce {
-    Search searched = Search::none;
-    bool found = false;
-  };
+  static constexpr double AS_DEEP = 0.5;
   ConicSolver<V, B> conic_;
   std::optional<FlowSolver<V, B>> flow_;
   General general_;
   std::optional<LimitedConic<V, B>> limited_conic_;
   std::optional<LimitedConic<V, B, 4>> soft_conic_;
   PerPlacement<bool> conic_placed_, limited_conic_placed_, flow_placed_, general_placed_;
-  PerPlacement<InternalForce> internal_force_;
+  PerPlacement<bool> internal_force_;
+  // Internal force of the problem's contacts and its depth; 0: none is known.
+  Field home_rest_;
+  double home_depth_ = 0.0;
 
   int count() const { return current.home.count; }
 
+  // True if the internal force of the problem's contacts, balanced for the current ones, is still
+  // nearly as deep inside the cones. It becomes the internal force, which takes a tenth of a
+  // search.
+  bool carries_home_rest() {
+    if (!(home_depth_ > 0.0) || current.now.count != count()) return false;
+    if (placement.home) {
+      conic_.rest = home_rest_;
+      return true;
+    }
+    newton.x = home_rest_;
+    newton.cones.balance(newton.x, Vec6{});
+    if (!(newton.cones.depth(newton.x) > AS_DEEP * home_depth_)) return false;
+    newton.scale_rest(conic_.rest);
+    return newton.cones.phi(conic_.rest) < infinity;
+  }
   Code load(const Changes& now) {
     ++placement.number;
     const Code code = current.load_call(now);
@@ -258,7 +279,8 @@ template <class V, int B> class Solvers {
     if (soft) clear(soft->newton.x);
   }
 
-  template <int D> Code solve_limited_conic(LimitedConic<V, B, D>& solver, const double* wrench) {
+  template <int D> Code solve_limited_conic(LimitedConic<V, B, D>& solver, const double* wrench,
+                                            const Field& inside, bool balanced) {
     const auto place = [&] {
       solver.cones.count = current.now.count;
       if constexpr (D == 3)
@@ -268,9 +290,9 @@ template <class V, int B> class Solvers {
       return solver.limits.pack(solver.cones, current.limits_in_place(), current.preload);
     };
     if (!limited_conic_placed_.at(placement, place)) return REFUSED;
-    for (std::size_t b = 0; b < solver.rest.size(); ++b)
-      for (int a = 0; a < 3; ++a) solver.rest[b][a] = conic_.rest[b][a];
-    return solver.solve(wrench, record(), answer.multipliers.data());
+    for (std::size_t b = 0; b < solver.inside.size(); ++b)
+      for (int a = 0; a < 3; ++a) solver.inside[b][a] = inside[b][a];
+    return solver.solve(wrench, balanced, record(), answer.multipliers.data());
   }
   bool needs_basis() const {
     const Start start = options.start;
@@ -289,8 +311,7 @@ template <class V, int B> class Solvers {
   }
   // An internal force in the form the general program takes; null if there is none.
   const double* internal_force_array() {
-    const Search search = options.method == Method::conic ? Search::thorough : Search::quick;
-    if (!is_full_rank() || !has_internal_force(search)) return nullptr;
+    if (!is_full_rank() || !has_internal_force()) return nullptr;
     newton.cones.store_force(internal_force(), given.force.data());
     return given.force.data();
   }

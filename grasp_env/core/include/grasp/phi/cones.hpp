@@ -243,6 +243,13 @@ template <class V, int B, int D = 3> class Cones {
       room = min(room, select(blocks[b].mask > 0.5, slack(x[b]), all<V>(infinity)));
     return least(room);
   }
+  // Smallest distance to a cone's surface as a fraction of the contact's u.
+  S depth(const Field& x) const {
+    V room = all<V>(1.0);
+    for (int b = 0; b < int(blocks.size()); ++b)
+      room = min(room, select(blocks[b].mask > 0.5, slack(x[b]) / x[b].u, all<V>(1.0)));
+    return least(room);
+  }
   // True if all numbers are finite and below LARGEST.
   auto is_in_range(const Field& x) const {
     V total{};
