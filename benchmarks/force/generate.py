@@ -12,6 +12,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.force.package import grasp_of
 from benchmarks.force.problems import Array, Problem, Session, Track
@@ -33,6 +34,19 @@ TICK = 0.002
 """Time between the problems of a path [s]."""
 CLEAR = 1e-3
 """Least margin (`feasibility`) of a feasible problem; infeasible ones have the opposite sign."""
+LOOP_TICKS = 100
+"""Ticks of a session of `loop`, before some are left out."""
+LOOPS = {
+    "four_finger, sphere": False,
+    "allegro, sphere": False,
+    "allegro, cuboid": True,
+    "leap, cuboid": True,
+    "shadow_hand_right, cuboid": False,
+    "shadow_hand_right, cylinder": False,
+}
+"""Hands of `loop`; True: with joints of the two last fingers coupled."""
+LIFTS, LIFTED = (0.04, 0.56, 0.62), 5
+"""Where in a session fingers lift, and for how many ticks."""
 Arrays = dict[str, Any]
 Sessions = Iterator[tuple[str, Arrays]]
 
@@ -227,6 +241,33 @@ def hard(rng: np.random.Generator) -> Sessions:
         yield f"{n}", moving(problems) | {"wrench": short(loads)}
 
 
+def loop(rng: np.random.Generator) -> Sessions:
+    """The control loop of a hand at 500 Hz, in which everything changes.
+
+    Contacts roll. About each axis a finger's part of the Jacobian turns by up to 0.06 rad; every
+    joint's column changes in length by up to 4 %, and its torque bias by up to 5 %. These follow
+    sines. The wrench turns along a path of sines and swells twice: from 0.2 of the largest that
+    contacts and motors hold, first to 0.98 of it, where limits bind, then to 1.04 of it, where no
+    force exists. Between the swells a finger lifts for a few ticks, if the others hold the load.
+    Ticks within `CLEAR` of losing or gaining a force are left out.
+    """
+    hands = dict(recorded())
+    for name, joins in LOOPS.items():
+        hand = coupled(hands[name]) if joins else hands[name]
+        arrays = _moving(rng, hand, LOOP_TICKS)
+        loads = wave(rng, LOOP_TICKS)
+        knots = np.arange(0, LOOP_TICKS, 10)
+        few = {key: a[knots] if len(a) > 1 else a for key, a in arrays.items()}
+        largest = _largest(few | {"wrench": loads[knots]})
+        size = np.interp(np.arange(LOOP_TICKS), knots, largest) * _swelling(LOOP_TICKS)
+        arrays |= {"wrench": short(size[:, None] * loads)}
+        arrays["touching"] = _lifting(rng, arrays)
+        depths = [_depth(arrays, w, m) for m, w in enumerate(arrays["wrench"])]
+        kept = np.abs(depths) > CLEAR
+        label = f"{name}, coupled" if joins else name
+        yield label, {key: a[kept] if len(a) > 1 else a for key, a in arrays.items()}
+
+
 @dataclass(frozen=True)
 class Recipes:
     """Recipe of a track.
@@ -281,6 +322,11 @@ TRACKS = {
         "real hands within their torque limits; contacts roll, and forces keep a share of friction and preloads",
         objectives=("sum",),
     ),
+    "loop": Recipes(
+        loop,
+        "a real hand's control loop: contacts and Jacobian move, limits bind now and then, fingers lift and land, some ticks are infeasible",
+        objectives=("sum",),
+    ),
 }
 """Tracks in the order of the reports, which is part of their seeds: new ones go to the end."""
 
@@ -318,6 +364,60 @@ def _rolling(rng: np.random.Generator, grasp: Grasp, count: int) -> Arrays:
     return contacts(grasp.positions + steps, normals, grasp.friction)
 
 
+def _moving(rng: np.random.Generator, hand: dict[str, Any], count: int) -> Arrays:
+    """Return a hand whose contacts roll and whose Jacobian and torque bias change; see `loop`."""
+    rolling = _rolling(rng, grasp_of_hand(hand), count)
+    jacobian = hand["jacobian"]
+    n, _, joints = jacobian.shape
+    turn = 0.06 * _sines(rng, count, (n, 3))
+    grow = 1.0 + 0.04 * _sines(rng, count, (joints,))
+    moved = np.repeat(jacobian[None], count, axis=0)  # (count, N, 6, J)
+    for part in (slice(0, 3), slice(3, 6)):  # of points, and of fingertips
+        moved[:, :, part] += np.cross(turn[..., None], jacobian[None, :, part], axis=2)
+    bias = hand["torque_bias"] * (1.0 + 0.05 * _sines(rng, count, (joints,)))
+    return rolling | {
+        "jacobian": short(moved * grow[:, None, None]),
+        "torque_limit": short(hand["torque_limit"])[None],
+        "torque_bias": short(bias),
+    }
+
+
+def _sines(rng: np.random.Generator, count: int, shape: tuple[int, ...]) -> Array:
+    """Draw sines (count, *shape) of 0.5 to 3 Hz, one in each number."""
+    time = TICK * np.arange(count).reshape(-1, *(1 for _ in shape))
+    rate = rng.uniform(0.5, 3.0, shape)
+    phase = rng.uniform(0.0, 2.0 * np.pi, shape)
+    return np.sin(2.0 * np.pi * rate * time + phase)
+
+
+def _swelling(count: int) -> Array:
+    """Return the sizes (count,) of the loads of `loop`, relative to the largest."""
+    place = np.arange(count) / count
+    size = np.full(count, 0.2)
+    for begin, end, peak in ((0.1, 0.55, 0.98), (0.68, 1.0, 1.04)):
+        inside = np.clip((place - begin) / (end - begin), 0.0, 1.0)
+        size += (peak - 0.2) * np.sin(np.pi * inside)
+    return size
+
+
+def _lifting(rng: np.random.Generator, arrays: Arrays) -> NDArray[np.bool_]:
+    """Return which contacts (M, N) touch: fingers lift where the loads of `loop` are small.
+
+    A finger lifts only where the others hold the load.
+    """
+    count, n = arrays["positions"].shape[:2]
+    touching = np.ones((count, n), dtype=bool)
+    for place in LIFTS:
+        begin = round(place * count)
+        ticks = range(begin, begin + LIFTED)
+        for finger in rng.permutation(n):
+            others = arrays | {"touching": np.arange(n)[None] != finger}
+            if all(_depth(others, arrays["wrench"][m], m) > CLEAR for m in ticks):
+                touching[begin : begin + LIFTED, finger] = False
+                break
+    return touching
+
+
 def _limited(rng: np.random.Generator, hand: dict[str, Any], count: int, **others: Array) -> Arrays:
     """Return a hand's arrays with loads of 0.3 to 0.95 of the largest in their direction."""
     grasp = grasp_of_hand(hand)
@@ -343,9 +443,13 @@ def _largest(arrays: Arrays) -> Array:
 
 
 def _depth(arrays: Arrays, wrench: Array, m: int = 0) -> float:
-    """Return the depth of a problem's contacts (`feasibility`) with another wrench."""
+    """Return the depth of a problem's contacts that touch (`feasibility`) with another wrench."""
     fields: Arrays = {name: array[m if len(array) > 1 else 0] for name, array in arrays.items()}
     fields["wrench"] = wrench
+    touching = fields.pop("touching", None)
+    if touching is not None:
+        whole = ("wrench", "torque_limit", "torque_bias", "friction_margin")
+        fields |= {name: fields[name][touching] for name in fields if name not in whole}
     problem = Problem(**fields).shifted()
     grasp, limits = grasp_of(problem)
     return feasibility(grasp, problem.wrench, limits).margin

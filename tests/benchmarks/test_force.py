@@ -126,7 +126,7 @@ def one_of(name: str, session: int = 0, m: int = 1) -> tuple[problems.Track, pro
 @pytest.mark.parametrize(
     "field", ["value", "lower", "upper", "other", "force", "multipliers", "rest"]
 )
-@pytest.mark.parametrize("name", ["roll", "own", "soft", "hard", "infeasible", "margin"])
+@pytest.mark.parametrize("name", ["roll", "own", "soft", "hard", "infeasible", "margin", "loop"])
 def test_a_falsified_reference_is_found(name, field):
     track, one = one_of(name)
     assert check.check(track) == []
@@ -529,3 +529,31 @@ def test_bounds_bracket_every_balanced_force(problem):
         assert best.value <= min(values)
         drawn = [best.multipliers * (1.0 + 0.5 * rng.standard_normal(6)) for _ in range(200)]
         assert max(measure.lower(objective, each) for each in drawn) <= min(values)
+
+
+def test_the_loop_has_what_a_hand_meets():
+    """Limits bind in a third of the ticks, one in twenty is infeasible, fingers lift and land, and
+    contacts and Jacobian move in every tick."""
+    track = load("loop")
+    binding = []
+    infeasible = []
+    lifts = landings = 0
+    for session in track.sessions:
+        force = session.references["sum"].force
+        infeasible += np.isnan(force).all(axis=1).tolist()
+        for problem, f in zip(session.problems, force, strict=True):
+            spare = (problem.limit_bound - problem.limit_matrix @ f) / problem.limit_size
+            binding.append(bool((spare < 1e-6).any()))
+        for name in ("positions", "frames", "jacobian", "torque_bias", "wrench"):
+            moved = np.diff(session.arrays[name], axis=0).reshape(len(force) - 1, -1)
+            assert np.abs(moved).max(axis=1).all(), (session.name, name)
+        change = np.diff(session.arrays["touching"].astype(int), axis=0)
+        lifts += (change < 0).sum()
+        landings += (change > 0).sum()
+        path = session.arrays["wrench"]
+        steps = np.abs(np.diff(path, axis=0)) / np.abs(path).max(axis=0)
+        assert steps.max() < 0.2
+    assert track.size == len(binding) == 588
+    assert 0.2 < np.mean(binding) < 0.4
+    assert 0.02 < np.mean(infeasible) < 0.06
+    assert lifts == landings == 15
