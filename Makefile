@@ -34,7 +34,7 @@ ZIG := echo "taking a C++ compiler from PyPI" && $(PIP) ziglang
 
 help:
 	@echo "make evaluate   compare all starts on every set of cases, roll out the hand: runs/<name>/report.html (two to four minutes)"
-	@echo "make bench      timings: ARGS=\"scaling|batch|env|hand_loop|layer|core [OPTIONS]\", runs/<name>/rows.csv"
+	@echo "make bench      timings: ARGS=\"scaling|batch|env|hand_loop|ticks|layer|core [OPTIONS]\", runs/<name>/rows.csv"
 	@echo "make force      solvers of grasp forces side by side: python -m benchmarks.force run (ARGS=\"--quick\": within a minute)"
 	@echo "make test       the tests (about four minutes)"
 	@echo "make slow       the long trials"

@@ -19,6 +19,7 @@ BENCHMARKS = {
     "env": "steps per second of the environment beside bare PyBullet, resets, memory",
     "fitted": "iterations of the flow from models of `grasp fit --env`, in their environments",
     "hand_loop": "the controller of a hand in real time against a simulated hand: latencies, what is lost",
+    "ticks": "every tick of a hand's control loop on its own: median, p99.9 and the largest of a million, beside other solvers",
     "layer": "the force layer beside cvxpylayers, Moreau's and ProxSuite's: forward and backward, how far answers differ",
     "core": "this checkout beside an earlier one, taking turns on one core: solves, moving contacts, grasps",
 }

@@ -23,6 +23,7 @@ RANGES = {
     "seed": (0, ranges.SEED),
     "seeds": (0, 1000),
     "start": (0, 1000),
+    "ticks": (1, 10_000_000),
 }
 """Allowed values of settings that are whole numbers; the others take 1 to 100,000."""
 

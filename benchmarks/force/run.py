@@ -284,8 +284,30 @@ def measured(
                 "language": "C" if hasattr(solver, "compiled") else "Python",
             }
             for session, timed in zip(sessions, timed_sessions, strict=True):
-                rows += [key | row for row in _scored(session, timed)]
+                rows += [key | row for row in scored(session, timed)]
     return rows, descriptions
+
+
+def scored(session: Session, timed: Timed) -> Iterator[dict[str, Any]]:
+    """Yield a row for each problem of a session: its time and the score of its worst answer."""
+    objective = timed.task.objective
+    best = session.references[objective].value.tolist()
+    for m, (problem, given, answers) in enumerate(
+        zip(session.problems, timed.problems, timed.answers, strict=False)
+    ):
+        many = [timed.many[0][m]] if timed.many else []
+        moved = [_moved(answer, problem.shift - given.shift) for answer in (*answers, *many)]
+        scores = [score(problem, objective, best[m], answer) for answer in moved]
+        row = {
+            "event": session.name,
+            "problem": m,
+            "microseconds": 1e6 * timed.seconds[m],
+            "iterations": timed.iterations[m],
+            "calls": timed.calls,
+        }
+        if timed.many and scores.pop()["solved"]:
+            row["many_microseconds"] = 1e6 * timed.many[1]
+        yield row | min(scores, key=lambda s: (s["solved"], s["solved_coarse"], s["proved"]))
 
 
 def unit() -> float:
@@ -324,27 +346,6 @@ def _take_turns(ready: dict[str, list[Timed]], effort: Effort, tell: Callable[[s
                     timed.passes(more)
     finally:
         gc.enable()
-
-
-def _scored(session: Session, timed: Timed) -> Iterator[dict[str, Any]]:
-    objective = timed.task.objective
-    best = session.references[objective].value.tolist()
-    for m, (problem, given, answers) in enumerate(
-        zip(session.problems, timed.problems, timed.answers, strict=False)
-    ):
-        many = [timed.many[0][m]] if timed.many else []
-        moved = [_moved(answer, problem.shift - given.shift) for answer in (*answers, *many)]
-        scores = [score(problem, objective, best[m], answer) for answer in moved]
-        row = {
-            "event": session.name,
-            "problem": m,
-            "microseconds": 1e6 * timed.seconds[m],
-            "iterations": timed.iterations[m],
-            "calls": timed.calls,
-        }
-        if timed.many and scores.pop()["solved"]:
-            row["many_microseconds"] = 1e6 * timed.many[1]
-        yield row | min(scores, key=lambda s: (s["solved"], s["solved_coarse"], s["proved"]))
 
 
 def _moved(answer: Parts, by: Array) -> Parts:

@@ -109,6 +109,12 @@ COLUMNS: dict[str, Column] = {
     "latency": _time(
         "time of one call in a real-time loop, for every call", "median p99 p999 max", "us"
     ),
+    "slowdown": _time("ratio of that time to the median of all calls of the solver", "max"),
+    "undisturbed": _time(
+        "that ratio of a call during which the system did not take the processor away", "max"
+    ),
+    "interrupted": _flag("the system took the processor away during the call", "sum", timed=True),
+    "typical": _time("median of that ratio over all calls with the same problem", "max"),
     "step_microseconds": _time("time of the call over its iterations", "median", "us"),
     "start_microseconds": _time("the start alone, best of the repeats", "median p99", "us"),
     "start_gap": _real("relative gap of Phi at the start", "median p90 p99"),
