@@ -35,10 +35,14 @@ template <class V> struct Bound {
   void aim(double target) {
     rate = present * ((target - dslack * dmultiplier) * per_slack - multiplier);
   }
+  // Leave the residual as it is in the next step.
+  void forgive() { missed = V{}; }
+  // Forget the last step.
   void stay() {
     dslack = V{};
     dmultiplier = V{};
   }
+  // The change of the slack that fits the multiplier's.
   V slack_step() const { return present * (rate - dmultiplier) * slack * per_multiplier; }
 };
 // A row's two sides.

@@ -64,13 +64,9 @@ template <class V, int B, int D = 3> class LimitedConic {
     if (!(unit_ >= NOTHING)) return REFUSED;
     minus_ = (-1.0 / unit_) * load;
     limits.scale(unit_);
+    start(balanced);
     int iterations = 0;
-    Code code = STALLED;
-    for (double cost : {1.0, LITTLE}) {
-      start(balanced, cost);
-      code = descend(record, iterations);
-      if (code == CONVERGED || code == INFEASIBLE || !hopeless()) break;
-    }
+    const Code code = descend(record, iterations);
     if (code == CONVERGED) {
       limits.store(theta_, multipliers);
     } else if (code == INFEASIBLE) {
@@ -91,8 +87,7 @@ template <class V, int B, int D = 3> class LimitedConic {
   // Signs that no force keeps the limits: they are exceeded by this much of the wrench, and the
   // dual value is this many times the objective.
   static constexpr double EXCEEDED = 1e-3, LIKELY = 2.0;
-  static constexpr double LITTLE = 0.01;  // fraction of the cost, of a second attempt at a proof
-  static constexpr double MIDDLE = 0.3;   // of the allowed gap: target of a settling step
+  static constexpr double MIDDLE = 0.3;  // of the allowed gap: target of a settling step
   static constexpr int SETTLINGS = 3;
   static constexpr double SUM_ROUNDING = 4e-16;  // of the terms of a sum of a dozen
   static constexpr double ROUNDING = 1e-14;      // of the terms of a proof, per term
@@ -147,7 +142,7 @@ template <class V, int B, int D = 3> class LimitedConic {
   }
 
   // x = inside, or -G^+ w + k inside; multipliers small enough for s
-  void start(bool balanced, double cost) {
+  void start(bool balanced) {
     V squeeze = all<V>(1e-6);
     for (int b = 0; b < blocks(); ++b) {
       at_[b].x = balanced ? X{} : cones.blocks[b].least(minus_);
@@ -160,16 +155,16 @@ template <class V, int B, int D = 3> class LimitedConic {
       const auto& c = cones.blocks[b];
       At& at = at_[b];
       at.first = at.x += k * inside[b];
-      at.s = axis<D>(cost * c.cost);
+      at.s = axis<D>(c.cost);
       most = max(most, c.mask * at.x.u);
-      product += cost * c.mask * c.cost * at.x.u;
+      product += c.mask * c.cost * at.x.u;
       price = min(price, select(c.mask > 0.0, c.cost, all<V>(infinity)));
     }
     y_ = {};
-    cost_ = cost;
+    cost_ = 1.0;
     const double mean = sum(product) / cones.count;
     const double floor = FLOOR * largest(most);
-    const double share = cost * SHARE / std::max(1, limits.sides);
+    const double share = SHARE / std::max(1, limits.sides);
     const double cheapest = share * least(price);
     for (int b = 0; b < blocks(); ++b) {
       At& at = at_[b];
@@ -204,13 +199,12 @@ template <class V, int B, int D = 3> class LimitedConic {
       }
       if (iterations >= options.limit) return LIMIT;
       if (!factor()) return STALLED;
-      drops = hopeless() && !drops;
+      const bool hopeless = missed_ > EXCEEDED && dual_value() > LIKELY * objective_;
+      drops = hopeless && !drops;
       const double aim = std::max(gap_, MIDDLE * options.tolerance * objective_);
       if (!(drops || settles ? settle(aim, drops ? cost_ : 0.0) : step())) return STALLED;
     }
   }
-
-  bool hopeless() const { return missed_ > EXCEEDED && dual_value() > LIKELY * cost_ * objective_; }
 
   // Residuals of the iterate, its gap and objective.
   void measure() {
@@ -356,10 +350,14 @@ template <class V, int B, int D = 3> class LimitedConic {
     return move(0.9 + (STEP - 0.9) * std::min(ahead.dual, ahead.primal));
   }
   // Step to this gap without a predictor, so that a whole step stays inside and keeps every row.
-  // dropped: cost that s loses in a whole step.
+  // dropped: cost that s loses in a whole step, of the multipliers alone.
   bool settle(double gap, double dropped) {
     forget_predictor();
     centre(gap / degree());
+    if (dropped > 0.0) {
+      left_ = {};
+      limits.each_side([](auto& side) { side.forgive(); });
+    }
     for (int b = 0; b < blocks() && dropped > 0.0; ++b) {
       const auto& c = cones.blocks[b];
       at_[b].f += at_[b].rooted(axis<D>(dropped * c.mask * c.cost));

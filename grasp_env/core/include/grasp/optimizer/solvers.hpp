@@ -89,7 +89,7 @@ template <class V, int B> class Solvers {
       limited->elastic = options.elastic;
     }
     if (current.home.soft() && !conic) soft.emplace(count());
-    const StopRule stop{options.gap(), std::min(options.limit, General::CONIC_ITERATIONS)};
+    const StopRule stop{options.gap(), std::min(options.limit, LIMITED_ITERATIONS)};
     if (conic && current.home.soft())
       soft_conic_.emplace(count(), stop);
     else if (conic)
@@ -214,6 +214,8 @@ template <class V, int B> class Solvers {
   }
 
  private:
+  static constexpr int LIMITED_ITERATIONS = 40;  // of the exact solver within limits; 8 are usual
+  // of the depth of the problem's internal force: enough for the current contacts
   static constexpr double AS_DEEP = 0.5;
   ConicSolver<V, B> conic_;
   std::optional<FlowSolver<V, B>> flow_;
