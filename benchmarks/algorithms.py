@@ -34,7 +34,8 @@ ALGORITHMS = {
     "layer/smooth": "Newton to the last digits, with gradients; elastic: penalties that stay smooth",
     "flow/flow": "the paper's gradient flow, reduced and full",
     "conic/conic": "interior point for the least sum of normal forces",
-    "general/interior_point": "interior point for any contacts and limits, and after others give up",
+    "conic/limited": "the same with limits, soft contacts or without force closure: rank-one terms and a border",
+    "general/interior_point": "interior point for other objectives, any contacts, and after others give up",
     "general/payload": "interior point for the largest load along a direction, called from Python",
 }
 """Folder of each algorithm and the reason why it exists."""
@@ -105,11 +106,13 @@ def measured(settings: AlgorithmSettings) -> Iterator[tuple[str, str, Array]]:
     yield "flow/flow", "hard, full, from the 12-basis", timed(hard, method="full_flow")
     yield "conic/conic", "hard", timed(hard, method="conic")
     conic_limits = timed(hard, method="conic", limits=bounds)
-    yield "general/interior_point", "normal forces limited", conic_limits
-    yield "general/interior_point", "each joint moves one finger", hand("own", "conic")
-    yield "general/interior_point", "joints shared by fingers", hand("shared", "conic")
-    yield "general/interior_point", "soft", timed(soft, method="conic")
+    yield "conic/limited", "normal forces limited", conic_limits
+    yield "conic/limited", "each joint moves one finger", hand("own", "conic")
+    yield "conic/limited", "joints shared by fingers", hand("shared", "conic")
+    yield "conic/limited", "soft", timed(soft, method="conic")
     motors = ForceLimits(jacobian=jacobian(rng, 4, 12), torque_limit=np.inf)
+    largest = timed(hard, method="conic", criterion="max", limits=bounds)
+    yield "general/interior_point", "the largest normal force, limited", largest
     torque = timed(hard, method="conic", criterion="torque", limits=motors)
     yield "general/interior_point", "least norm of 12 joint torques", torque
     directions = loads[: max(1, len(loads) // 10)]
