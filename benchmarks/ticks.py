@@ -17,7 +17,6 @@ The answers of the first pass, and of one more at the end, are scored as in the 
 from __future__ import annotations
 
 import ctypes
-import gc
 import resource
 import time
 from collections.abc import Callable
@@ -31,7 +30,7 @@ from benchmarks.benchmark import Benchmark, tick
 from benchmarks.force.entrant import Compiled, CProblem, Task
 from benchmarks.force.entrants import ENTRANTS
 from benchmarks.force.problems import OBJECTIVES, Array, Track, load
-from benchmarks.force.run import Timed, entrants, scored, timer
+from benchmarks.force.run import Timed, entrants, no_garbage_collection, scored, timer
 from grasp_env.errors import InvalidInputError
 from training.evaluation.results.claims import Claim
 from training.evaluation.results.table import pd, table
@@ -195,18 +194,12 @@ def run(settings: TicksSettings) -> pd.DataFrame:
 
 def take_turns(players: dict[str, Player], settings: TicksSettings, size: int) -> None:
     """Let the solvers play in turns, without garbage collection; size: ticks of the stream."""
-    gc.collect()
-    gc.freeze()
-    gc.disable()
-    try:
+    with no_garbage_collection():
         for turn in range(settings.rounds):
             for name, player in players.items():
                 tick(f"round {turn + 1} of {settings.rounds}: {name}")
                 least = wanted(name, player, settings)
                 player.play(-(-least // (size * settings.rounds)))
-    finally:
-        gc.enable()
-        gc.unfreeze()
 
 
 def wanted(name: str, player: Player, settings: TicksSettings) -> int:

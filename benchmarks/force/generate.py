@@ -46,7 +46,7 @@ LOOPS = {
 }
 """Hands of `loop`; True: with joints of the two last fingers coupled."""
 LIFTS, LIFTED = (0.04, 0.56, 0.62), 5
-"""Where in a session fingers lift, and for how many ticks."""
+"""Places of a session at which a finger lifts, as shares of its length; duration [ticks]."""
 Arrays = dict[str, Any]
 Sessions = Iterator[tuple[str, Arrays]]
 

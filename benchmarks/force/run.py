@@ -9,6 +9,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import product
@@ -332,11 +333,22 @@ def timer() -> Any:
     return ctypes.CDLL(str(library("timer", [HERE / "timer.c"], ["-O2"], (HERE / "force.h",))))
 
 
-def _take_turns(ready: dict[str, list[Timed]], effort: Effort, tell: Callable[[str], None]) -> None:
-    """Make passes of all entrants in turn, without garbage collection."""
+@contextmanager
+def no_garbage_collection() -> Iterator[None]:
+    """Collect garbage, and then not until the block ends: a timed call might contain it."""
     gc.collect()
+    gc.freeze()
     gc.disable()
     try:
+        yield
+    finally:
+        gc.enable()
+        gc.unfreeze()
+
+
+def _take_turns(ready: dict[str, list[Timed]], effort: Effort, tell: Callable[[str], None]) -> None:
+    """Make passes of all entrants in turn, without garbage collection."""
+    with no_garbage_collection():
         for turn in range(effort.rounds):
             for name, timed_sessions in ready.items():
                 tell(f"round {turn + 1} of {effort.rounds}: {name}")
@@ -344,8 +356,6 @@ def _take_turns(ready: dict[str, list[Timed]], effort: Effort, tell: Callable[[s
                 more = int(np.clip(effort.seconds / max(seconds, 1e-9), 0, effort.passes - 1))
                 for timed in timed_sessions if more else ():
                     timed.passes(more)
-    finally:
-        gc.enable()
 
 
 def _moved(answer: Parts, by: Array) -> Parts:

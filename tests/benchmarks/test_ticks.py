@@ -77,7 +77,7 @@ def test_what_fails_is_counted():
 
 
 def test_times_are_of_their_ticks(monkeypatch):
-    """The clock goes as the solver says; a processor that was taken away is told."""
+    """The control takes the time that it is given, and interrupted ticks are marked."""
     now = [0]
     taken = [0]
 

@@ -124,6 +124,8 @@ def test_contacts_that_move_have_the_optimum_of_their_place(said):
     moved, there = numbers(said["moved"]), numbers(said["made there"])
     assert moved["objective"] == pytest.approx(there["objective"], rel=2e-9)
     assert (moved["code"], moved["start"]) == (there["code"], there["start"])
+    for name in ("force", "torques"):
+        np.testing.assert_allclose(moved[name], there[name], rtol=1e-6, atol=1e-7)
 
 
 def test_records_without_a_force_have_a_code_and_hold_zeros(said):

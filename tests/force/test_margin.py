@@ -213,24 +213,26 @@ def test_preloads_alone_may_be_the_largest_force():
 
 
 def same_optimum(one, other):
-    """Assert that two solutions agree to a gap of 1e-9; forces, to its root."""
+    """Assert that two solutions agree to 2e-9, and their forces to 1e-6."""
     assert one.objective == pytest.approx(other.objective, rel=2e-9)
-    np.testing.assert_allclose(one.force, other.force, atol=1e-4 * np.abs(other.force).max())
+    np.testing.assert_allclose(one.force, other.force, atol=1e-6 * np.abs(other.force).max())
 
 
 def test_a_call_changes_the_margin_for_itself():
-    solver = ForceOptimizer(CUBOID, tolerance=1e-9, margin=0.9)
+    solver = ForceOptimizer(CUBOID, tolerance=1e-12, margin=0.9)
     for wrench in loads(5):
-        alone = {m: optimize_force(CUBOID, wrench, margin=m, tolerance=1e-9) for m in (MARGIN, 0.6)}
+        alone = {
+            m: optimize_force(CUBOID, wrench, margin=m, tolerance=1e-12) for m in (MARGIN, 0.6)
+        }
         for margin in (MARGIN, 0.6):
             same_optimum(solver.solve(wrench, margin=margin), alone[margin])
         none = solver.solve(wrench, margin=Margin())
-        same_optimum(none, optimize_force(CUBOID, wrench, tolerance=1e-9))
+        same_optimum(none, optimize_force(CUBOID, wrench, tolerance=1e-12))
         assert solver.solve(wrench).friction_used.max() <= 0.9
     solver.update(margin=MARGIN, friction=0.5)
     assert solver.margin == MARGIN
     expected = optimize_force(
-        CUBOID.with_friction(0.5), PAPER_WRENCH, margin=MARGIN, tolerance=1e-9
+        CUBOID.with_friction(0.5), PAPER_WRENCH, margin=MARGIN, tolerance=1e-12
     )
     np.testing.assert_array_equal(solver.solve(PAPER_WRENCH).force, expected.force)
     again = pickle.loads(pickle.dumps(solver))

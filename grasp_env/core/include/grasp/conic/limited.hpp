@@ -89,8 +89,6 @@ template <class V, int B, int D = 3> class LimitedConic {
   static constexpr double EXCEEDED = 1e-3, LIKELY = 2.0;
   static constexpr double MIDDLE = 0.3;  // of the allowed gap: target of a settling step
   static constexpr int SETTLINGS = 3;
-  static constexpr double SUM_ROUNDING = 4e-16;  // of the terms of a sum of a dozen
-  static constexpr double ROUNDING = 1e-14;      // of the terms of a proof, per term
 
   struct At {
     X x, s;  // primal and dual slack
@@ -400,13 +398,9 @@ template <class V, int B, int D = 3> class LimitedConic {
   void centre(double target) {
     for (int b = 0; b < blocks(); ++b) {
       At& at = at_[b];
-      const X f = at.l + at.e;
-      X r = f.u * at.e + at.e.u * f;
-      r.u = target / at.m.eta + dot(f, at.e);
-      const V h = lorentz(at.l, r) * at.m.root * at.m.root;
-      at.d = at.l0 * (r - h * at.l);
-      at.d.u = h;
-      at.d = cones.blocks[b].mask * (at.d - at.l);  // unused lanes do not move
+      const V square = at.m.root * at.m.root;
+      const X d = corrector(at.l, at.e, target / at.m.eta, square, at.l0);
+      at.d = cones.blocks[b].mask * (d - at.l);  // unused lanes do not move
       at.f = at.root * at.d;
     }
     limits.each_side([&](auto& side) { side.aim(target); });
@@ -460,7 +454,7 @@ template <class V, int B, int D = 3> class LimitedConic {
       costs.add(side.counted() * abs(side.bound));
     });
     const double terms = sum_of_sizes(y_) * size(minus_) + costs.value();
-    if (!(dual_value() > ROUNDING * (8 + limits.sides) * terms)) return false;
+    if (!(dual_value() > PROOF_ROUNDING * (8 + limits.sides) * terms)) return false;
     V room = all<V>(infinity);
     for (int b = 0; b < blocks(); ++b) {
       const auto& c = cones.blocks[b];

@@ -40,6 +40,22 @@ template <class T, int D> struct Scaling {
   }
 };
 
+// Right-hand side of Mehrotra's corrector in scaled coordinates: the d for which the product of d
+// and l is (aim, 0, ..) plus that of l + e and e. l: the scaled point; e: the predictor's dual
+// direction; per_square: 1 / (l . J l); per_l0: 1 / l_0.
+template <class T, int D>
+[[gnu::always_inline]] inline Vec<T, D> corrector(const Vec<T, D>& l, const Vec<T, D>& e,
+                                                  const T& aim, const T& per_square,
+                                                  const T& per_l0) {
+  const Vec<T, D> f = l + e;
+  Vec<T, D> r = f.u * e + e.u * f;
+  r.u = aim + dot(f, e);
+  const T h = lorentz(l, r) * per_square;
+  Vec<T, D> d = per_l0 * (r - h * l);
+  d.u = h;
+  return d;
+}
+
 // The iterate and its steps, for one problem or a register of them.
 template <class V, int B> class ConicSteps {
  public:
@@ -219,14 +235,10 @@ template <class V, int B> class ConicSteps {
     for (int b = 0; b < blocks(); ++b) {
       auto& here = at[b];
       const auto& m = here.m;
-      const Vec3<V>& l = here.l;
-      const Vec3<V> e = here.d;
-      const Vec3<V> f = l + e;
-      const Vec3<V> r{target / m.eta + dot(f, e), f.u * e.o + e.u * f.o, f.u * e.t + e.u * f.t};
-      const V h = lorentz(l, r) * m.root * m.root;
+      const V square = m.root * m.root;
       // unused lanes do not move
       here.d = cones.blocks[b].mask *
-               (Vec3<V>{h, (r.o - h * l.o) * here.l0, (r.t - h * l.t) * here.l0} - l);
+               (corrector(here.l, here.d, target / m.eta, square, here.l0) - here.l);
       here.q = m.eta * m.scaled(here.d);
       cones.blocks[b].add_wrench(here.q, out);
     }

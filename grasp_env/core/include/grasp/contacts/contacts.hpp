@@ -11,6 +11,9 @@ namespace grasp {
 inline constexpr double LARGEST = 1e12;  // [N], [N m] largest number accepted
 // [N] a smaller wrench counts as zero: its inverse is infinite
 inline constexpr double NOTHING = 1e-306;
+// Rounding that proofs of infeasibility allow for: of a proof's terms, per term, far above what may
+// occur; and of the terms of a sum of a dozen.
+inline constexpr double PROOF_ROUNDING = 1e-14, SUM_ROUNDING = 4e-16;
 
 // Largest balance residual [N] of a balanced force: a fraction of the wrench, or of normal forces
 // up to 1 N.

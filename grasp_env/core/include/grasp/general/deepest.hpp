@@ -50,10 +50,7 @@ template <int D> class Depth {
   const ArenaVector<double>& multipliers() const { return multipliers_; }
 
  private:
-  // of the terms of a proof, per term: far above rounding
-  static constexpr double ROUNDING = 1e-14;
-  static constexpr double SUM_ROUNDING = 4e-16;  // of the terms of a sum of a dozen
-  static constexpr double UNMOVED = 1e-15;       // of the terms of a contact's motion: rounding
+  static constexpr double UNMOVED = 1e-15;  // of the terms of a contact's motion: rounding
   static constexpr double COVERED = 1e10,
                           SEEN = 1e6;  // forces of which a proof speaks, in units of the wrench
   static constexpr double NEEDLESS = 1e-9;  // of the twist: a smaller price of a limit is rounding
@@ -215,7 +212,7 @@ template <int D> class Depth {
   // What it lacks of a dual cone must not matter for any force of up to COVERED times the wrench
   // or, if rounding hides it, SEEN times.
   bool proves_infeasible(const Vec6& y, const Vec6& unit, double size) {
-    const double rounding = ROUNDING * (8 + many_);
+    const double rounding = PROOF_ROUNDING * (8 + many_);
     double lacking = 0.0, hidden = 0.0;
     for (int i = 0; i < in_->count; ++i) {
       Tuple<double, D> dual{};

@@ -372,7 +372,7 @@ inline void newton_grasps(const Grasps& grasps, const StopRule& options, const S
     auto rest = one.cones.field();
     solve_grasps(grasps, many, group, [&](const Contacts& contacts, const SolveBatch& batch) {
       one.cones.pack(contacts);
-      const bool closes = one.find_rest(rest, true);
+      const bool closes = one.find_rest(rest);
       if (closes) newton_many(one, rest, options, batch);
       return closes;
     });
@@ -387,7 +387,7 @@ inline void conic_grasps(const Grasps& grasps, const StopRule& options, const So
     solve_grasps(grasps, many, group, [&](const Contacts& contacts, const SolveBatch& batch) {
       newton.cones.pack(contacts);
       one.cones.pack(contacts);
-      if (!newton.find_rest(one.rest, true)) return false;
+      if (!newton.find_rest(one.rest)) return false;
       conic_many(one, batch);
       return true;
     });

@@ -245,12 +245,8 @@ template <class V, int B> class LeastExcess {
       auto& at = at_[b];
       const Vec3<V> l = at.l;
       const Vec3<V> e = at.m.scaled(at.ds);
-      const Vec3<V> f = l + e;
-      const Vec3<V> r{all<V>(target) / at.m.eta + dot(f, e), f.u * e.o + e.u * f.o,
-                      f.u * e.t + e.u * f.t};
-      const V h = lorentz(l, r) * at.m.root * at.m.root;
-      const V i = 1.0 / l.u;
-      at.d = {h, (r.o - h * l.o) * i, (r.t - h * l.t) * i};
+      const V square = at.m.root * at.m.root;
+      at.d = corrector(l, e, all<V>(target) / at.m.eta, square, 1.0 / l.u);
       Vec3<V> gradient = -at.m.unscaled(at.d);
       rows.for_each(b, [&](Pair<V>& p) {
         p.sides([&](Side<V>& side, double sign) {

@@ -95,9 +95,9 @@ template <class V, int B, class Rows = NoRows, int D = 3> class NewtonSolver {
     return balance_inside(cones, x, step_, x, few ? FEW_STEPS : MANY_STEPS, plain) ||
            (!few && balance_inside(cones, x, step_, x, MANY_STEPS, careful));
   }
-  // The same, scaled to least Phi, into `rest`.
-  bool find_rest(Field& rest, bool few = false) {
-    if (!internal_force(few)) return false;
+  // The same with few steps, scaled to least Phi, into `rest`.
+  bool find_rest(Field& rest) {
+    if (!internal_force(true)) return false;
     scale_rest(rest);
     return true;
   }

@@ -124,7 +124,8 @@ template <class V, int B> class Solvers {
     if (limited_conic_) limited_conic_->reserve(current.limits.rows);
     if (soft_conic_) soft_conic_->reserve(current.limits.rows);
     home_depth_ = 0.0;
-    if (place({}) == CONVERGED && is_full_rank() && has_internal_force()) {
+    const bool uses_it = options.method == Method::newton || options.method == Method::conic;
+    if (place({}) == CONVERGED && uses_it && is_full_rank() && has_internal_force()) {
       home_rest_ = conic_.rest;
       home_depth_ = newton.cones.depth(home_rest_);
     }
@@ -196,8 +197,8 @@ template <class V, int B> class Solvers {
   // True if an internal force strictly inside the cones is known, or found with as many steps as
   // are nearly always enough. Overwrites `newton.x`.
   bool has_internal_force() {
-    return internal_force_.at(
-        placement, [&] { return carries_home_rest() || newton.find_rest(conic_.rest, true); });
+    return internal_force_.at(placement,
+                              [&] { return carries_home_rest() || newton.find_rest(conic_.rest); });
   }
 
   // --- the 12-basis
