@@ -89,6 +89,7 @@ template <class V, int B, int D = 3> class LimitedConic {
   static constexpr double EXCEEDED = 1e-3, LIKELY = 2.0;
   static constexpr double MIDDLE = 0.3;  // of the allowed gap: target of a settling step
   static constexpr int SETTLINGS = 3;
+  static constexpr double KEPT = 1e-14;  // limits that are missed by less are kept
 
   struct At {
     X x, s;  // primal and dual slack
@@ -191,6 +192,7 @@ template <class V, int B, int D = 3> class LimitedConic {
       if (cost_ == 1.0 && gap_ <= goal * objective_) {
         const double gap = certify(record);
         if (gap <= options.tolerance) return CONVERGED;
+        if (!(gap < infinity) && missed_ <= KEPT) return STALLED;  // balance has lost its digits
         settles = !(gap < infinity) && settled++ < SETTLINGS;
         if (!settles) goal *= 0.1;
         if (!(gap_ > 0.0) || goal < 1e-3 * options.tolerance) return STALLED;

@@ -174,7 +174,11 @@ template <class V, int B> class Solvers {
     ConicSolver<V, B>& solver = conic();
     internal_force_.at(placement, [] { return false; }) = false;
     limited_conic_->store_iterate(solver);
-    return solver.solve_from_iterate(wrench, record());
+    const double before = record().summary().iterations;
+    const Code code = solver.solve_from_iterate(wrench, record());
+    record().summary().iterations += before;
+    record().summary().trials += before;
+    return code;
   }
   // The flow, or null if G has lost rank.
   FlowSolver<V, B>* flow() {
