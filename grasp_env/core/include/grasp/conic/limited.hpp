@@ -4,31 +4,23 @@
 //     min sum_i c_i u_i  s.t.  G x = -w,  x_i in the cone,  A x + slack = b
 //     max -w . y - b . z  s.t.  s_i = c_i e_u - G_i^T y + (A^T z)_i in the cone,  z >= 0
 //
-// Steps are those of conic.hpp. In the coordinates M^-1/2 dx of the scaling, a row of one contact
-// is a rank-one change of the identity, and its factor is updated without a difference that
-// cancels. Joint rows border the 6 x 6 system. The start may exceed the limits. If no force keeps
-// them, y and z grow without bound and become the proof.
+// If no force keeps the limits, y and z grow without bound and become the proof.
 #pragma once
-#include <grasp/conic/bounds.hpp>
-#include <grasp/conic/steps.hpp>
-#include <grasp/math/bordered.hpp>
+#include <grasp/conic/limited_steps.hpp>
 #include <grasp/phi/descent.hpp>
 
 namespace grasp {
 
-template <class V, int B, int D = 3> class LimitedConic {
+template <class V, int B, int D = 3> class LimitedConic : public LimitedSteps<V, B, D> {
  public:
-  using X = Vec<V, D>;
-  using Field = typename Cones<V, B, D>::Field;
-  Cones<V, B, D> cones;
-  Field inside;  // a force strictly inside the cones: the start, or an internal force
-  ConicLimits<V, B, D> limits;
+  using Steps = LimitedSteps<V, B, D>;
+  using Steps::cones, Steps::inside, Steps::limits;
+  using typename Steps::Field;
+  using typename Steps::X;
   StopRule options;
 
   LimitedConic(int count, const StopRule& options)
-      : cones(count), inside(cones.field()), options(options), force_(inside) {
-    resize(at_, cones.blocks.size());
-  }
+      : Steps(count), options(options), force_(inside) {}
 
   // Write the last iterate into the solver without limits.
   void store_iterate(ConicSteps<V, B>& to) const
@@ -42,141 +34,72 @@ template <class V, int B, int D = 3> class LimitedConic {
     }
     to.y = y_;
   }
-  // Make solving free of allocations for up to this many rows.
-  void reserve(int rows) {
-    limits.reserve(cones, rows);
-    system_.reserve(rows);
-    joint_reduced_.reserve(std::size_t(rows) * at_.size());
-  }
 
   // Solve for a wrench. balanced: `inside` balances it. CONVERGED: the record and `multipliers`
   // (one of each row) hold the optimum. INFEASIBLE: they hold the proof. Otherwise the record says
   // nothing.
   Code solve(const double* wrench, bool balanced, const Record& record, double* multipliers) {
-    record.clear();
-    Summary& out = record.summary();
-    out.code = REFUSED;
-    if (!is_valid_wrench(wrench) || !cones.is_in_range(inside) || !(cones.margin(inside) > 0.0))
-      return REFUSED;
-    std::copy(wrench, wrench + 6, out.wrench.begin());
-    const Vec6 load = cones.unit.of(wrench);
-    unit_ = std::max(size(load), -limits.least_bound());
-    if (!(unit_ >= NOTHING)) return REFUSED;
-    minus_ = (-1.0 / unit_) * load;
-    limits.scale(unit_);
-    start(balanced);
+    if (!begin(wrench, balanced, 0.0, record)) return REFUSED;
     int iterations = 0;
     const Code code = descend(record, iterations);
-    if (code == CONVERGED) {
-      limits.store(theta_, multipliers);
-    } else if (code == INFEASIBLE) {
-      const Vec6 twist = cones.unit.pull_back(-1.0 * y_);
-      const double per = 1.0 / size(twist);
-      limits.store(per, multipliers);
-      record.refute(per * twist, size(load));
-    }
-    out.code = code;
-    out.iterations = out.trials = iterations;
-    return code;
+    if (code == CONVERGED) limits.store(theta_, multipliers);
+    return conclude(code, iterations, record, multipliers);
+  }
+  // Find a force x strictly inside cones and limits, near the central path, where slacks times
+  // multipliers are `product`. Return CONVERGED, INFEASIBLE with the proof as `solve`, or another
+  // code if neither is found.
+  Code centre(const double* wrench, bool balanced, double product, Field& x, const Record& record,
+              double* multipliers) {
+    if (!begin(wrench, balanced, product, record)) return REFUSED;
+    int iterations = 0;
+    const Code code = approach(product / unit_ * this->degree(), x, iterations);
+    return conclude(code, iterations, record, multipliers);
   }
 
  private:
-  static constexpr double STEP = 0.995;  // largest fraction of the way to the boundary
-  // Start: smallest slack, of the largest force; largest multipliers together, of a contact's cost.
-  static constexpr double FLOOR = 0.1, SHARE = 0.5;
+  using Steps::at_, Steps::minus_, Steps::y_, Steps::left_, Steps::cost_, Steps::unit_, Steps::gap_,
+      Steps::objective_, Steps::missed_;
+  using Steps::blocks, Steps::dual_value, Steps::measure, Steps::factor, Steps::step, Steps::settle;
+  using typename Steps::At;
+  using typename Steps::Most;
+  using typename Steps::Sum;
   // Signs that no force keeps the limits: they are exceeded by this much of the wrench, and the
   // dual value is this many times the objective.
   static constexpr double EXCEEDED = 1e-3, LIKELY = 2.0;
   static constexpr double MIDDLE = 0.3;  // of the allowed gap: target of a settling step
   static constexpr int SETTLINGS = 3;
   static constexpr double KEPT = 1e-14;  // limits that are missed by less are kept
-
-  struct At {
-    X x, s;  // primal and dual slack
-    Scaling<V, D> m;
-    V root;                  // sqrt(eta): M^1/2 = root * m.scaled
-    X l, e, d;               // scaled point, dual direction and right-hand side
-    V share, l0;             // share of the `Boundary` at l; 1 / l_0
-    X f;                     // right-hand side of M^-1/2 dx
-    X dx, ds;                // the step
-    RowBlock<V, D> block;    // I + M^1/2 (sum bend a a^T) M^1/2, factored
-    Tuple<V, D> reduced[6];  // L^-1 M^1/2 g for the rows g of G
-    Tuple<V, D> z;           // D^-1 L^-1 of the right-hand side
-    X first;                 // first x, for the record
-
-    Boundary<V, D> boundary() const { return {l, m.root, share}; }
-    X rooted(const X& a) const { return root * m.scaled(a); }
-  };
-  // A sum, or the largest value, over contacts and joint rows.
-  struct Sum {
-    V lanes{};
-    double rest = 0.0;
-    void add(const V& a) { lanes += a; }
-    void add(double a) { rest += a; }
-    double value() const { return sum(lanes) + rest; }
-  };
-  struct Most {
-    V lanes;
-    double rest;
-    explicit Most(double least) : lanes(all<V>(least)), rest(least) {}
-    void add(const V& a) { lanes = max(lanes, a); }
-    void add(double a) { rest = std::max(rest, a); }
-    double value() const { return std::max(largest(lanes), rest); }
-  };
-  Blocks<At, B> at_;
+  static constexpr double NEAR = 1.5;    // times the gap on the central path: near enough
   Field force_;
-  Bordered system_;
-  std::vector<Tuple<V, D>> joint_reduced_;  // (joint rows, blocks), as `reduced`
-  Vec6 minus_{}, y_{}, left_{};             // -w, and G x + w, in units of `unit_`
-  double cost_ = 1.0;  // fraction of the cost in s; where no force keeps the limits, it is dropped
-  double unit_ = 1.0, gap_ = 0.0, objective_ = 0.0, paid_ = 0.0, missed_ = 0.0, theta_ = 1.0;
+  double theta_ = 1.0;
 
-  int blocks() const { return int(at_.size()); }
-  double degree() const { return 2.0 * cones.count + limits.sides; }
-  double dual_value() const { return dot(minus_, y_) - paid_; }
-  template <class F> double along_joint(int j, F&& x) const {
-    V total{};
-    for (int b = 0; b < blocks(); ++b) total += dot(limits.column(j, b), x(b));
-    return sum(total);
+  // Load a wrench and go to the start. Return false if there is none.
+  bool begin(const double* wrench, bool balanced, double least_unit, const Record& record) {
+    record.clear();
+    Summary& out = record.summary();
+    out.code = REFUSED;
+    if (!is_valid_wrench(wrench) || !cones.is_in_range(inside) || !(cones.margin(inside) > 0.0))
+      return false;
+    std::copy(wrench, wrench + 6, out.wrench.begin());
+    const Vec6 load = cones.unit.of(wrench);
+    unit_ = std::max({size(load), -limits.least_bound(), least_unit});
+    if (!(unit_ >= NOTHING)) return false;
+    minus_ = (-1.0 / unit_) * load;
+    limits.scale(unit_);
+    this->start(balanced);
+    return true;
   }
-
-  // x = inside, or -G^+ w + k inside; multipliers small enough for s
-  void start(bool balanced) {
-    V squeeze = all<V>(1e-6);
-    for (int b = 0; b < blocks(); ++b) {
-      at_[b].x = balanced ? X{} : cones.blocks[b].least(minus_);
-      squeeze = max(squeeze, -slack(at_[b].x) / slack(inside[b]));
+  Code conclude(Code code, int iterations, const Record& record, double* multipliers) const {
+    Summary& out = record.summary();
+    if (code == INFEASIBLE) {
+      const Vec6 twist = cones.unit.pull_back(-1.0 * y_);
+      const double per = 1.0 / size(twist);
+      limits.store(per, multipliers);
+      record.refute(per * twist, size(cones.unit.of(out.wrench.data())));
     }
-    const V k = all<V>(balanced ? 1.0 / unit_ : 1.3 * largest(squeeze));
-    V most{}, product{};
-    V price = all<V>(infinity);
-    for (int b = 0; b < blocks(); ++b) {
-      const auto& c = cones.blocks[b];
-      At& at = at_[b];
-      at.first = at.x += k * inside[b];
-      at.s = axis<D>(c.cost);
-      most = max(most, c.mask * at.x.u);
-      product += c.mask * c.cost * at.x.u;
-      price = min(price, select(c.mask > 0.0, c.cost, all<V>(infinity)));
-    }
-    y_ = {};
-    cost_ = 1.0;
-    const double mean = sum(product) / cones.count;
-    const double floor = FLOOR * largest(most);
-    const double share = SHARE / std::max(1, limits.sides);
-    const double cheapest = share * least(price);
-    for (int b = 0; b < blocks(); ++b) {
-      At& at = at_[b];
-      limits.each_own(b, [&](auto& row) {
-        row.begin(dot(row.a, at.x), all<V>(floor), all<V>(mean), share * cones.blocks[b].cost);
-        at.s += row.multiplier() * row.a;
-      });
-    }
-    for (int j = 0; j < limits.joint_rows(); ++j) {
-      auto& row = limits.joints[j];
-      row.begin(along_joint(j, [&](int b) { return at_[b].x; }), floor, mean, cheapest);
-      for (int b = 0; b < blocks(); ++b) at_[b].s += all<V>(row.multiplier()) * limits.column(j, b);
-    }
+    out.code = code;
+    out.iterations = out.trials = iterations;
+    return code;
   }
 
   // Descend from the start. If the gap is closed while limits are still exceeded, since shortened
@@ -199,244 +122,45 @@ template <class V, int B, int D = 3> class LimitedConic {
       }
       if (iterations >= options.limit) return LIMIT;
       if (!factor()) return STALLED;
-      const bool hopeless = missed_ > EXCEEDED && dual_value() > LIKELY * objective_;
-      drops = hopeless && !drops;
+      drops = is_hopeless() && !drops;
       const double aim = std::max(gap_, MIDDLE * options.tolerance * objective_);
       if (!(drops || settles ? settle(aim, drops ? cost_ : 0.0) : step())) return STALLED;
     }
   }
 
-  // Residuals of the iterate, its gap and objective.
-  void measure() {
-    V total[6] = {}, objective{};
-    Sum gap, paid;
-    Most missed(0.0);
+  bool is_hopeless() const { return missed_ > EXCEEDED && dual_value() > LIKELY * objective_; }
+  // The same towards the point of the central path with this gap. If settling there does not lead
+  // inside the limits, steps go on towards the optimum or the proof.
+  Code approach(double target, Field& x, int& iterations) {
+    int settled = 0;
+    bool drops = false;
+    for (;; ++iterations) {
+      measure();
+      const bool near = gap_ <= NEAR * target;
+      if (cost_ == 0.0 && proves_infeasible()) return INFEASIBLE;
+      if (cost_ == 1.0 && near && is_inside(x)) return CONVERGED;
+      if (iterations >= options.limit) return LIMIT;
+      if (!factor()) return STALLED;
+      drops = is_hopeless() && !drops;
+      const bool settles = near && (missed_ <= EXCEEDED || settled++ < SETTLINGS);
+      const bool moved = drops     ? settle(gap_, cost_)
+                         : settles ? settle(target, 0.0)
+                                   : step(near ? 0.0 : target);
+      if (!moved) return STALLED;
+    }
+  }
+  // Write the balanced force at the iterate into x. Return true if it is strictly inside.
+  bool is_inside(Field& x) const {
+    if (!(missed_ <= EXCEEDED)) return false;
+    Most outside(-infinity);
     for (int b = 0; b < blocks(); ++b) {
-      const auto& c = cones.blocks[b];
-      At& at = at_[b];
-      c.add_wrench(at.x, total);
-      gap.add(c.mask * dot(at.x, at.s));
-      objective += c.mask * c.cost * at.x.u;
-      limits.each_own(b, [&](auto& row) { row.at(dot(row.a, at.x)); });
+      x[b] = at_[b].x - cones.blocks[b].least(left_);
+      limits.each_own(b, [&](const auto& row) { outside.add(row.outside(dot(row.a, x[b]))); });
     }
     for (int j = 0; j < limits.joint_rows(); ++j)
-      limits.joints[j].at(along_joint(j, [&](int b) { return at_[b].x; }));
-    limits.each_side([&](const auto& side) {
-      gap.add(side.counted() * side.slack);
-      paid.add(side.counted() * side.bound);
-      missed.add(abs(side.missed));
-    });
-    left_ = sums(total) - minus_;
-    gap_ = gap.value();
-    objective_ = sum(objective);
-    paid_ = paid.value();
-    missed_ = missed.value();
-  }
-
-  // Factor the system. Return false if it is not positive definite in floating point.
-  bool factor() {
-    V s[21] = {};
-    for (int b = 0; b < blocks(); ++b) {
-      const auto& c = cones.blocks[b];
-      At& at = at_[b];
-      at.m = Scaling<V, D>(at.x, at.s);
-      at.root = sqrt(at.m.eta);
-      at.l = at.m.scaled(at.s);
-      const V n = at.l.u * at.m.root + 1.0;
-      const V both = 1.0 / (n * at.l.u);  // one division for two
-      at.share = both * at.l.u;
-      at.l0 = both * n;
-      RowBlock<V, D> block;
-      limits.each_own(
-          b, [&](auto& row) { row.update = block.update(tuple(at.rooted(row.a)), {}, row.bend); });
-      block.finish();
-      at.block = block;
-#pragma GCC unroll 8
-      for (int r = 0; r < 6; ++r) {
-        at.reduced[r] = block.forward(tuple(at.rooted(c.g[r])));
-        const Tuple<V, D> weighed = block.weighed(at.reduced[r]);
-#pragma GCC unroll 8
-        for (int k = 0; k <= r; ++k) s[packed(r, k)] += inner(weighed, at.reduced[k]);
-      }
-    }
-    Packed6 lower;
-#pragma GCC unroll 32
-    for (int k = 0; k < 21; ++k) lower[k] = sum(s[k]);
-    border();
-    return system_.factor(lower);
-  }
-  Tuple<V, D>& joint_reduced(int j, int b) { return joint_reduced_[std::size_t(blocks()) * j + b]; }
-  void border() {
-    const int joint = limits.joint_rows();
-    system_.resize(joint);
-    joint_reduced_.resize(std::size_t(joint) * blocks());
-    for (int j = 0; j < joint; ++j) {
-      V side[6] = {};
-      for (int b = 0; b < blocks(); ++b) {
-        const At& at = at_[b];
-        joint_reduced(j, b) = at.block.forward(tuple(at.rooted(limits.column(j, b))));
-        const Tuple<V, D> weighed = at.block.weighed(joint_reduced(j, b));
-        for (int r = 0; r < 6; ++r) side[r] += inner(weighed, at.reduced[r]);
-      }
-      for (int r = 0; r < 6; ++r) system_(6 + j, r) = sum(side[r]);
-      for (int k = 0; k <= j; ++k) {
-        V total{};
-        for (int b = 0; b < blocks(); ++b)
-          total += inner(at_[b].block.weighed(joint_reduced(j, b)), joint_reduced(k, b));
-        system_(6 + j, 6 + k) = sum(total);
-      }
-      system_(6 + j, 6 + j) += 1.0 / limits.joints[j].bend;
-    }
-  }
-
-  // Solve for the right-hand sides f, the rows' rates and the residuals: dx, ds and the rows'
-  // steps. dropped: cost that s loses. Return dy.
-  Vec6 direct(double dropped = 0.0) {
-    const int joint = limits.joint_rows();
-    V pull[6] = {};
-    for (int b = 0; b < blocks(); ++b) {
-      At& at = at_[b];
-      at.z = tuple(at.f);
-      limits.each_own(b, [&](auto& row) {
-        row.take_rates();
-        row.update.forward(at.z, row.right);
-      });
-      for (int r = 0; r < 6; ++r) pull[r] += inner(at.reduced[r], at.z);
-    }
-    const Vec6 pulled = sums(pull);
-    for (int r = 0; r < 6; ++r) system_[r] = -pulled[r] - left_[r];
-    for (int j = 0; j < joint; ++j) {
-      V total{};
-      for (int b = 0; b < blocks(); ++b) total += inner(joint_reduced(j, b), at_[b].z);
-      limits.joints[j].take_rates();
-      system_[6 + j] = limits.joints[j].right - sum(total);
-    }
-    system_.solve();
-    Vec6 dy;
-    for (int r = 0; r < 6; ++r) dy[r] = system_[r];
-    for (int j = 0; j < joint; ++j) limits.joints[j].step(-system_[6 + j] / limits.joints[j].bend);
-    for (int b = 0; b < blocks(); ++b) {
-      const auto& c = cones.blocks[b];
-      At& at = at_[b];
-      X back = c.transposed(dy);
-      for (int j = 0; j < joint; ++j) back += all<V>(system_[6 + j]) * limits.column(j, b);
-      Tuple<V, D> z = tuple(at.f + at.rooted(back));
-      limits.each_own(b, [&](auto& row) { row.left = -row.update.forward(z, row.right); });
-      at.block.backward(z);
-      at.dx = c.mask * at.rooted(cone(z));
-      at.ds = -back;
-      at.ds.u -= dropped * c.cost;
-      Tuple<V, D> rest{};
-      limits.each_own_back(b, [&](auto& row) {
-        row.step(row.update.backward(rest, row.left));
-        at.ds += row.change() * row.a;
-      });
-      at.ds = c.mask * at.ds;
-    }
-    return dy;
-  }
-
-  // Step with Mehrotra's corrector. Return false if it moves nothing.
-  bool step() {
-    forget_predictor();
-    for (int b = 0; b < blocks(); ++b) at_[b].f = -(at_[b].root * at_[b].l);
-    limits.each_side([](auto& side) { side.aim(0.0); });
-    direct();
-    const Ahead ahead = predict();
-    const double after = gap_ + ahead.dual * ahead.cross - ahead.primal * (gap_ + ahead.cross) -
-                         ahead.primal * ahead.dual * (ahead.cross + ahead.square);
-    const double part = std::clamp(after / gap_, 0.0, 1.0);
-    centre(part * part * part * gap_ / degree());
-    return move(0.9 + (STEP - 0.9) * std::min(ahead.dual, ahead.primal));
-  }
-  // Step to this gap without a predictor, so that a whole step stays inside and keeps every row.
-  // dropped: cost that s loses in a whole step, of the multipliers alone.
-  bool settle(double gap, double dropped) {
-    forget_predictor();
-    centre(gap / degree());
-    if (dropped > 0.0) {
-      left_ = {};
-      limits.each_side([](auto& side) { side.forgive(); });
-    }
-    for (int b = 0; b < blocks() && dropped > 0.0; ++b) {
-      const auto& c = cones.blocks[b];
-      at_[b].f += at_[b].rooted(axis<D>(dropped * c.mask * c.cost));
-    }
-    return move(STEP, dropped);
-  }
-  void forget_predictor() {
-    for (auto& at : at_) at.e = X{};
-    limits.each_side([](auto& side) { side.stay(); });
-  }
-
-  // Longest steps of the predictor, and its terms x . ds and ds . M ds.
-  struct Ahead {
-    double primal, dual, cross, square;
-  };
-  Ahead predict() {
-    Most primal(1.0), dual(1.0);
-    Sum cross, square;
-    for (int b = 0; b < blocks(); ++b) {
-      At& at = at_[b];
-      at.e = at.m.scaled(at.ds);
-      const auto way = at.boundary().way(at.e);
-      dual.add(way.away - way.along);
-      primal.add(1.0 + way.away + way.along);
-      const V part = cones.blocks[b].mask * at.m.eta;
-      cross.add(part * dot(at.l, at.e));
-      square.add(part * dot(at.e, at.e));
-    }
-    limits.each_side([&](const auto& side) {
-      const auto ratio = side.dmultiplier * side.per_multiplier;
-      primal.add(1.0 + ratio);
-      dual.add(-ratio);
-      cross.add(side.dmultiplier * side.slack);
-      square.add(ratio * side.dmultiplier * side.slack);
-    });
-    return {1.0 / primal.value(), 1.0 / dual.value(), cross.value(), square.value()};
-  }
-
-  // Right-hand sides towards products of `target`, with the second-order terms of the predictor.
-  void centre(double target) {
-    for (int b = 0; b < blocks(); ++b) {
-      At& at = at_[b];
-      const V square = at.m.root * at.m.root;
-      const X d = corrector(at.l, at.e, target / at.m.eta, square, at.l0);
-      at.d = cones.blocks[b].mask * (d - at.l);  // unused lanes do not move
-      at.f = at.root * at.d;
-    }
-    limits.each_side([&](auto& side) { side.aim(target); });
-  }
-
-  // Take the step, at most `reach` of the way to the boundary. Return false if it moves nothing.
-  bool move(double reach, double dropped = 0.0) {
-    const Vec6 dy = direct(dropped);
-    Most primal(reach), dual(reach);
-    for (int b = 0; b < blocks(); ++b) {
-      const At& at = at_[b];
-      const X e = at.m.scaled(at.ds);
-      const Boundary<V, D> edge = at.boundary();
-      dual.add(edge.per(e));
-      primal.add(edge.per(at.d - e));
-    }
-    limits.each_side([&](const auto& side) {
-      primal.add(-side.dslack * side.per_slack);
-      dual.add(-side.dmultiplier * side.per_multiplier);
-    });
-    const double along = dropped > 0.0 ? 0.0 : reach / primal.value();
-    const double up = reach / dual.value();
-    if (!(along + up > 1e-6)) return dropped > 0.0;
-    y_ = y_ + up * dy;
-    cost_ -= up * dropped;
-    for (auto& at : at_) {
-      at.x += all<V>(along) * at.dx;
-      at.s += all<V>(up) * at.ds;
-    }
-    limits.each_side([&](auto& side) {
-      side.slack += along * side.dslack;
-      side.multiplier += up * side.dmultiplier;
-    });
-    return true;
+      outside.add(limits.joints[j].outside(limits.along(j, [&](int b) { return x[b]; })));
+    for (auto& force : x) force = all<V>(unit_) * force;
+    return outside.value() < 0.0 && cones.margin(x) > 0.0;
   }
 
   // s from its equation, without the cost
@@ -486,7 +210,7 @@ template <class V, int B, int D = 3> class LimitedConic {
       force_[b] = all<V>(unit_) * at.first;
     }
     for (int j = 0; j < limits.joint_rows(); ++j)
-      outside.add(limits.joints[j].outside(along_joint(j, [&](int b) { return at_[b].d; })));
+      outside.add(limits.joints[j].outside(limits.along(j, [&](int b) { return at_[b].d; })));
     cones.store_force(force_, record.initial_force());
     for (int b = 0; b < blocks(); ++b) force_[b] = at_[b].d;
     // in units of the wrench: squares of tiny forces would be zero
