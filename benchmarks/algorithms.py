@@ -25,10 +25,10 @@ from training.evaluation.results.table import pd, table
 
 ALGORITHMS = {
     "newton/newton": "Newton on Phi: four contacts stay in registers",
-    "newton/limited": "Newton with limits of single contacts: rank-one terms of their blocks",
+    "newton/limited": "Newton with limits: rank-one terms of a contact's block, and a border",
     "newton/soft": "Newton with torsion, the fourth variable of a contact",
     "newton/excess": "elastic: the force that exceeds the limits least",
-    "general/phi_rows": "Newton with rows that couple contacts",
+    "general/phi_rows": "Newton for any contacts and limits, and after others give up",
     "many/problems": "Newton on several wrenches at once, one in each vector lane",
     "many/grasps": "Newton on several grasps at once",
     "layer/smooth": "Newton to the last digits, with gradients; elastic: penalties that stay smooth",
@@ -75,6 +75,9 @@ def measured(settings: AlgorithmSettings) -> Iterator[tuple[str, str, Array]]:
     hard = presets.paper_cuboid()
     torsion: dict[str, Any] = {"contact_model": "soft", "torsional_friction": TORSIONAL_FRICTION}
     soft = Grasp.from_contacts(hard.positions, hard.normals, hard.friction, **torsion)
+    pinch = Grasp.from_contacts(
+        [[0.03, 0.0, 0.0], [-0.03, 0.0, 0.0]], [[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]], 0.6, **torsion
+    )
     bounds = ForceLimits(max_normal=20.0)
     tight = ForceLimits(max_normal=1.0)
     heavy = 10.0 * loads / np.linalg.norm(loads, axis=1, keepdims=True)
@@ -99,9 +102,10 @@ def measured(settings: AlgorithmSettings) -> Iterator[tuple[str, str, Array]]:
     yield "newton/newton", "hard", timed(hard)
     yield "newton/limited", "normal forces limited", timed(hard, limits=bounds)
     yield "newton/limited", "each joint moves one finger", hand("own", "newton")
+    yield "newton/limited", "joints shared by fingers", hand("shared", "newton")
+    yield "newton/limited", "soft, normal forces limited", timed(soft, limits=bounds)
     yield "newton/soft", "soft", timed(soft)
-    yield "general/phi_rows", "joints shared by fingers", hand("shared", "newton")
-    yield "general/phi_rows", "soft, normal forces limited", timed(soft, limits=bounds)
+    yield "general/phi_rows", "two soft fingers", timed(pinch)
     yield "flow/flow", "hard, from the 12-basis", timed(hard, method="reduced_flow")
     yield "flow/flow", "hard, full, from the 12-basis", timed(hard, method="full_flow")
     yield "conic/conic", "hard", timed(hard, method="conic")

@@ -478,8 +478,8 @@ def test_a_proof_uses_the_limits_of_the_call():
 
 def test_words_name_what_the_proof_needs():
     limits = ForceLimits(max_normal=[0.3, 90.0, 90.0, 90.0])
-    for method, cones in (("conic", ""), ("newton", r" and the friction cones? of contacts? \d.*")):
-        needed = rf"needs the limits contact 0: normal <= 0.3 N.*{cones}elastic=True"
+    for method in ("conic", "newton"):
+        needed = r"needs the limits contact 0: normal <= 0.3 N.*elastic=True"
         with pytest.raises(InfeasibleWrenchError, match=needed):
             ForceOptimizer(CUBOID, method=method, limits=limits).solve(PAPER_WRENCH)
     with pytest.raises(

@@ -220,10 +220,11 @@ int main(int argc, char** arguments) {
   print("copied", copy.solve(wrench));
   {  // a copy remembers; after the shorter row of a solver without limits it has room for its own
     ForceOptimizer remembering({contacts, limits}, newton);
-    remembering.remember(solver.solve(wrench));
+    const double pull[] = {2, 0, 0, 0, 0, 0};  // its forces keep the limits
+    remembering.remember(solver.solve(pull));
     ForceOptimizer heir(remembering);
     const auto follows = [&](int) {
-      return heir.solve({.wrench = wrench, .start = Start::previous}).summary().start ==
+      return heir.solve({.wrench = pull, .start = Start::previous}).summary().start ==
              double(Start::previous);
     };
     counted("copies", 5, follows);

@@ -1,9 +1,9 @@
 // Limits of a hand on its contact forces: normal forces, joint torques |J^T f + tau_0| <= tau_max,
-// as rows a . f <= b, and as rows of length one on one contact's force for `LimitTerms`.
+// as rows a . f <= b, and as rows of length one on one contact's force for `RaisedLimits`.
 #pragma once
 #include <span>
 #include <grasp/contacts/margin.hpp>
-#include <grasp/limits/terms.hpp>
+#include <grasp/limits/normal_bound.hpp>
 
 namespace grasp {
 
@@ -64,8 +64,8 @@ struct ForceLimits {
 class LimitTable {
  public:
   static constexpr int MOST_ROWS = 64;  // on one contact
-  // as in `LimitRows`; sizes: (M,) divisors of the rows
-  std::vector<double> normals, bounds, shares, weights, sizes;
+  // as in `LimitRows`
+  std::vector<double> normals, bounds, shares;
   std::vector<int> owners;
 
   // Fill the table; the Jacobian is (N, width, J). Return false if a row acts on several contacts,
@@ -80,19 +80,16 @@ class LimitTable {
     limits.rows(
         count, width, row_,
         [&](std::span<const double> row, double bound, double limit) {
-          good = good && add(count, row.data(), contacts.divisor.data(), contacts.lambda.data(),
-                             bound, limit, width);
+          good = good && add(count, row.data(), contacts.divisor.data(), bound, limit, width);
         },
         preload);
     return good;
   }
   // Add a row (N, width) on at most one contact. limit: growth of b if the limit doubles.
-  bool add(int count, const double* row, const double* divisor, const double* lambda, double bound,
-           double limit, int width = 3) {
+  bool add(int count, const double* row, const double* divisor, double bound, double limit,
+           int width = 3) {
     int owner = -1;
-    double mean = 0.0;
     for (int i = 0; i < count; ++i) {
-      mean += lambda[i] / count;
       if (row[width * i] == 0.0 && row[width * i + 1] == 0.0 && row[width * i + 2] == 0.0) continue;
       const Point a = over(row + width * i, divisor + 3 * i);
       if (a.u == 0.0 && a.o == 0.0 && a.t == 0.0) continue;
@@ -111,23 +108,18 @@ class LimitTable {
     for (int r = 0; r < 3; ++r) normals.push_back(a[r]);
     bounds.push_back(b);
     shares.push_back(share);
-    sizes.push_back(size);
     owners.push_back(at);
-    weights.push_back(owner < 0 ? mean : lambda[at]);
     return std::count(owners.begin(), owners.end(), at) <= MOST_ROWS;
   }
   void clear() {
     normals.clear();
     bounds.clear();
     shares.clear();
-    weights.clear();
-    sizes.clear();
     owners.clear();
   }
 
   LimitRows rows() const {
-    return {int(bounds.size()), normals.data(), bounds.data(),
-            shares.data(),      weights.data(), owners.data()};
+    return {int(bounds.size()), normals.data(), bounds.data(), shares.data(), owners.data()};
   }
 
  private:
@@ -137,7 +129,7 @@ class LimitTable {
   void reserve(int rows) {
     normals.reserve(3 * rows);
     owners.reserve(rows);
-    for (auto* column : {&bounds, &shares, &weights, &sizes}) column->reserve(rows);
+    for (auto* column : {&bounds, &shares}) column->reserve(rows);
   }
 
   static Point over(const double* row, const double* divisor) {

@@ -16,7 +16,6 @@ struct LimitRows {
   const double* normal = nullptr;  // (M, 3) of length one; zero: independent of the forces
   const double* bound = nullptr;   // (M,) b [N]
   const double* share = nullptr;   // (M,) growth of b if the limit doubles [N]
-  const double* weight = nullptr;  // (M,) lambda > 0
   const int* contact = nullptr;    // (M,)
 };
 
@@ -24,18 +23,12 @@ struct LimitRows {
 struct RowPair {
   int high, low;
 };
-// u <= sum part * row's bound, for forces in the cone.
-struct BoundingRows {
-  int row[3] = {-1, -1, -1};
-  double part[3] = {};
-};
 
 // Largest u within the rows of a contact and its cone, and its growth with the limits: u <= sum z b
 // for any z >= 0 with sum z a - e_u in the dual cone. Tries one, two and three pairs.
 class NormalBound {
  public:
   double most = UNBOUNDED, more = 0.0;
-  BoundingRows by;
 
   NormalBound(const LimitRows& rows, const std::vector<RowPair>& pairs) : rows_(rows) {
     const int count = std::min(int(pairs.size()), MAX_PAIRS);
@@ -61,23 +54,18 @@ class NormalBound {
   void consider(std::initializer_list<RowPair> pairs, std::initializer_list<double> z) {
     double bound = 0.0, share = 0.0;
     auto part = z.begin();
-    BoundingRows rows;
-    int used = 0;
     for (const RowPair& p : pairs) {
       const int m = *part > 0.0 ? p.high : p.low;
       if (m < 0 && *part != 0.0) return;
       if (m >= 0) {
         bound += std::abs(*part) * std::max(rows_.bound[m], 0.0);
         share += std::abs(*part) * rows_.share[m];
-        rows.row[used] = m;
-        rows.part[used++] = std::abs(*part);
       }
       ++part;
     }
     if (bound < most) {
       most = bound;
       more = share;
-      by = rows;
     }
   }
   void try_one(const RowPair& p) {

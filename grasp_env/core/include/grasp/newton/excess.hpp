@@ -6,10 +6,11 @@
 //
 // A primal-dual interior point as in conic.hpp. The rows are rank-one changes of a contact's
 // scaling; t is one border of the 6 x 6 system. x stays balanced, and the multipliers of every
-// iterate bound t (`LimitTerms::farkas`), dual feasible or not.
+// iterate bound t (`RaisedLimits::farkas`), dual feasible or not.
 #pragma once
 #include <grasp/conic/conic.hpp>
-#include <grasp/limits/terms.hpp>
+#include <grasp/limits/raised_limits.hpp>
+#include <grasp/phi/system.hpp>
 
 namespace grasp {
 
@@ -20,18 +21,49 @@ template <class V, int B> class LeastExcess {
  public:
   using Field = typename Cones<V, B>::Field;
 
+  RaisedLimits<V, B> rows;
+
+  explicit LeastExcess(const Cones<V, B>& cones) : system_(cones) {
+    resize(at_, cones.blocks.size());
+  }
+
+  // Solve from x, balanced, in the cones and outside the limits; x is overwritten.
+  // LIMITS_EXCEEDED: objective and bound are those of the excess. Steps are added to those of the
+  // record. STALLED: the least excess is not certified.
+  Code solve(const Cones<V, B>& cones, const Vec6& w, Field& x, const Record& record) {
+    const ExcessForce force = descend(cones, w, x);
+    cones.balance(x, w);
+    cones.certify(x, w, record);
+    Summary& s = record.summary();
+    s.iterations += force.iterations;
+    s.trials += force.iterations;
+    s.objective = s.limit_excess = rows.excess(x);
+    s.lower_bound = force.bound;
+    s.multipliers = cones.unit.pull_back(force.multipliers);
+    const Code code = force.certified && s.margin > 0.0 ? LIMITS_EXCEEDED : STALLED;
+    s.code = code;
+    return code;
+  }
+  // The same from a previous least excess x, without a proof that no force keeps the limits.
+  Code follow(const Cones<V, B>& cones, const Vec6& w, Field& x, const Record& record) {
+    if (!(rows.excess(x) > EXCESS_FLOOR)) return REFUSED;
+    Summary& s = record.summary();
+    s.iterations = s.trials = 0.0;
+    const Code code = solve(cones, w, x, record);
+    return code == LIMITS_EXCEEDED && s.lower_bound > EXCESS_FLOOR ? code : REFUSED;
+  }
+
+ private:
   struct ExcessForce {
     bool certified;
     int iterations;
     double bound;
     Vec6 multipliers;  // -d t / d w
   };
+  System<V, B> system_;
 
-  explicit LeastExcess(const Cones<V, B>& cones) { resize(at_, cones.blocks.size()); }
-
-  // Solve from x, balanced, in the cones and outside the limits; x is overwritten.
-  ExcessForce solve(const Cones<V, B>& cones, LimitTerms<V, B>& rows, System<V, B>& system,
-                    const Vec6& w, Field& x) {
+  ExcessForce descend(const Cones<V, B>& cones, const Vec6& w, Field& x) {
+    System<V, B>& system = system_;
     const int blocks = int(x.size());
     double t = BEGIN * rows.excess(x) + EXCESS_FLOOR;
     Vec6 nu{};
@@ -39,10 +71,11 @@ template <class V, int B> class LeastExcess {
     ExcessForce out{false, 0, 0.0, {}};
     for (; out.iterations < MOST; ++out.iterations) {
       const auto [gap, curvature] = scale(cones, rows, x, t);
-      const bool good = system.assemble(cones, x, [&](int b, Vec3<V>& gradient, Sym3<V>& inverse) {
-        gradient = Vec3<V>{};
-        inverse = at_[b].inverse;
-      });
+      const bool good =
+          system.assemble(cones, x, {}, [&](int b, Vec3<V>& gradient, Sym3<V>& inverse) {
+            gradient = Vec3<V>{};
+            inverse = at_[b].inverse;
+          });
       if (!good) return out;
       const Border border = bordered(cones, system, curvature);
       const Vec6 left = system.applied + w;
@@ -82,7 +115,6 @@ template <class V, int B> class LeastExcess {
     return out;
   }
 
- private:
   static constexpr int MOST = 50;
   static constexpr double BEGIN = 1.5;   // factor of the excess at the start: initial value of t
   static constexpr double REACH = 0.95;  // fraction of the way to the boundary
@@ -103,14 +135,14 @@ template <class V, int B> class LeastExcess {
   Blocks<At, B> at_;
 
   // A central point: s = mu J x / (x . J x), y = mu / slack, with mu such that sum y share = 1.
-  void begin(const Cones<V, B>& cones, LimitTerms<V, B>& rows, const Field& x, double t) {
+  void begin(const Cones<V, B>& cones, RaisedLimits<V, B>& rows, const Field& x, double t) {
     V total{};
     for (int b = 0; b < int(x.size()); ++b)
       rows.for_each(b, [&](Pair<V>& p) {
         const V along = dot(p.a, x[b]);
         p.sides([&](Side<V>& side, double sign) {
           side.at(sign * along, t);
-          side.multiplier = (side.weight > 0.0 ? all<V>(1.0) : V{}) / side.slack;
+          side.multiplier = (side.present > 0.0 ? all<V>(1.0) : V{}) / side.slack;
           total += side.multiplier * side.share;
         });
       });
@@ -127,7 +159,7 @@ template <class V, int B> class LeastExcess {
   struct Scaled {
     double gap, curvature;
   };
-  Scaled scale(const Cones<V, B>& cones, LimitTerms<V, B>& rows, const Field& x, double t) {
+  Scaled scale(const Cones<V, B>& cones, RaisedLimits<V, B>& rows, const Field& x, double t) {
     V gap{}, curvature{};
     for (int b = 0; b < int(x.size()); ++b) {
       auto& at = at_[b];
@@ -164,7 +196,7 @@ template <class V, int B> class LeastExcess {
     Vec6 side, across;
     double pivot;
   };
-  Border bordered(const Cones<V, B>& cones, const System<V, B>& system, double curvature) {
+  Border bordered(const Cones<V, B>& cones, System<V, B>& system, double curvature) {
     V sides[6] = {}, square{};
     for (int b = 0; b < int(at_.size()); ++b) {
       const Vec3<V> h = at_[b].inverse * at_[b].mixed;
@@ -182,7 +214,7 @@ template <class V, int B> class LeastExcess {
     Vec6 nu;
     double dt, primal, dual;
   };
-  ExcessStep direct(const Cones<V, B>& cones, LimitTerms<V, B>& rows, const System<V, B>& system,
+  ExcessStep direct(const Cones<V, B>& cones, RaisedLimits<V, B>& rows, System<V, B>& system,
                     const Border& border, const Vec6& left, double slope, const Field& x) {
     V cross{};
     for (int b = 0; b < int(at_.size()); ++b)
@@ -208,7 +240,7 @@ template <class V, int B> class LeastExcess {
           side.dmultiplier = there - side.bend * side.dslack - side.multiplier;
           multiplier += sign * (side.multiplier + side.dmultiplier);
           primal = max(primal, -side.dslack / side.slack);
-          dual = max(dual, side.weight > 0.0 ? -side.dmultiplier / side.multiplier : V{});
+          dual = max(dual, side.present > 0.0 ? -side.dmultiplier / side.multiplier : V{});
         });
         at.ds += multiplier * p.a;
       });
@@ -220,7 +252,7 @@ template <class V, int B> class LeastExcess {
   }
 
   // The gap after the predictor.
-  double reached(const Cones<V, B>& cones, const LimitTerms<V, B>& rows, const Field& x,
+  double reached(const Cones<V, B>& cones, const RaisedLimits<V, B>& rows, const Field& x,
                  const ExcessStep& step) const {
     const V primal = all<V>(std::min(1.0, step.primal));
     const V dual = all<V>(std::min(1.0, step.dual));
@@ -238,7 +270,7 @@ template <class V, int B> class LeastExcess {
 
   // Right-hand sides of the corrector, from the predictor's steps: gradients go into `system`,
   // multipliers for an unchanged slack into dmultiplier. Return the slope of t.
-  double correct(const Cones<V, B>& cones, LimitTerms<V, B>& rows, System<V, B>& system,
+  double correct(const Cones<V, B>& cones, RaisedLimits<V, B>& rows, System<V, B>& system,
                  double target) {
     V slope{}, pull[6] = {};
     for (int b = 0; b < int(at_.size()); ++b) {
@@ -250,7 +282,7 @@ template <class V, int B> class LeastExcess {
       Vec3<V> gradient = -at.m.unscaled(at.d);
       rows.for_each(b, [&](Pair<V>& p) {
         p.sides([&](Side<V>& side, double sign) {
-          const V aim = side.weight > 0.0 ? all<V>(target) - side.dslack * side.dmultiplier : V{};
+          const V aim = side.present > 0.0 ? all<V>(target) - side.dslack * side.dmultiplier : V{};
           side.dmultiplier = aim / side.slack;
           slope += side.dmultiplier * side.share;
           gradient += (sign * side.dmultiplier) * p.a;

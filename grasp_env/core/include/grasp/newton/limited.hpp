@@ -1,103 +1,56 @@
-// Newton on Phi within limits, whose terms stand in `limits/terms.hpp`: the optimum, a proof that
-// no force exists, or the force of least excess.
+// Newton on Phi within limits, whose terms stand in `limits/barriers.hpp`.
 #pragma once
-#include <grasp/newton/excess.hpp>
+#include <grasp/limits/barriers.hpp>
 #include <grasp/newton/newton.hpp>
 
 namespace grasp {
 
-template <class V, int B> class LimitedNewton {
+// Newton from a force strictly inside cones and limits.
+template <class V, int B, int D = 3> class LimitedNewton {
  public:
-  NewtonSolver<V, B, LimitTerms<V, B>> newton;
-  bool elastic = false;  // if no force keeps the limits, find the one that exceeds them least
-  // factor from the multipliers in `newton.rows` of a proof to its twist
-  double proof_scale = 0.0;
+  NewtonSolver<V, B, Barriers<V, B, D>, D> newton;
 
-  explicit LimitedNewton(int count)
-      : newton(count), begun_(newton.cones.field()), least_(newton.cones) {}
+  explicit LimitedNewton(int count) : newton(count), begun_(newton.cones.field()) {}
+  // Make solving free of allocations for up to this many rows.
+  void reserve(int rows) {
+    newton.rows.reserve(newton.cones, rows);
+    newton.system.joint.reserve(rows);
+  }
 
-  // Solve from a previous optimum, or from any balanced force inside the cones. REFUSED: numbers
-  // that are not finite, no start, or a problem for the general program: nearly infeasible, or out
-  // of digits. INFEASIBLE: the multipliers are a twist v, -nu of `LimitTerms::farkas`: v . w > max
-  // -v . G f within the limits. LIMITS_EXCEEDED: objective and bound are those of the excess.
-  // begin(w, previous): writes the start into newton.x, or if `previous` the balanced optimum of
-  // another wrench; returns true if there is one.
-  template <class F> Code solve(const Call& call, const Record& record, F&& begin) {
-    Summary& s = record.summary();
-    s.code = REFUSED;
-    if (!is_valid_wrench(call.wrench)) return REFUSED;
-    const Vec6 w = newton.cones.unit.of(call.wrench);
-    if (elastic && call.exceeding && begin(w, true) && follow_excess(call, w, record))
-      return LIMITS_EXCEEDED;
-    Code code = call.start == From::tangent ? descend_from_previous(call, w, record) : REFUSED;
-    if (is_unusable(code)) code = begin(w, false) ? descend(call, w, record) : REFUSED;
-    if (code == INFEASIBLE) {
-      proof_scale = 1.0 / size(s.multipliers);
-      code = elastic ? minimise_excess(w, record)
-                     : record.refute(-proof_scale * s.multipliers, size(w));
-    }
-    if (is_unusable(code)) code = REFUSED;
-    s.code = code;
-    return code;
+  // Set x to a force without torsion. Return true if it is well inside the limits.
+  bool begin(const typename Cones<V, B>::Field& force) {
+    for (int b = 0; b < int(force.size()); ++b)
+      for (int a = 0; a < 3; ++a) newton.x[b][a] = force[b][a];
+    if constexpr (D == 4)
+      for (auto& x : newton.x) x.v = V{};
+    return newton.cones.phi(newton.x, newton.rows) <= CLOSE * newton.cones.phi(newton.x);
+  }
+  // Solve from a previous optimum. REFUSED: it is of no use.
+  Code follow(const Call& call, const Vec6& w, const Record& record) {
+    newton.cones.load_force(call.force, newton.x, 0, call.torsion);
+    newton.cones.reset_unused_lanes(newton.x);
+    return descend(call, w, record, SHORT, true);
+  }
+  // Solve from x. REFUSED: numbers are not finite, or out of digits.
+  Code descend(const Call& call, const Vec6& w, const Record& record) {
+    return descend(call, w, record, SHORT, false);
+  }
+  // Write the multipliers of the rows at x.
+  void store_multipliers(double* to) {
+    newton.rows.measure(newton.x);
+    newton.rows.store(1.0, to);
   }
 
  private:
-  // edge of the parabola, as a fraction of the least slack of a previous force
-  static constexpr double FIRM = 0.5;
-  typename Cones<V, B>::Field begun_;
-  LeastExcess<V, B> least_;
+  // largest factor of the limits on Phi at a start: otherwise steps would be short
+  static constexpr double CLOSE = 2.0;
+  typename Cones<V, B, D>::Field begun_;
 
-  bool is_unusable(Code code) const {
-    return code == REFUSED || code == STALLED || (code == LIMIT && !newton.rows.within(newton.x));
-  }
-
-  Code descend_from_previous(const Call& call, const Vec6& w, const Record& record) {
-    newton.cones.load_force(call.force, newton.x);
-    const double room = newton.rows.least_slack(newton.x);
-    newton.rows.set_edge(room > 0.0 ? std::min(newton.rows.LARGEST_EDGE, FIRM * room)
-                                    : newton.rows.LARGEST_EDGE);
+  Code descend(const Call& call, const Vec6& w, const Record& record, double fraction,
+               bool leaping) {
     begun_ = newton.x;
-    return newton.descend_from(begun_, call, w, record, SHORT, true);
-  }
-
-  Code descend(const Call& call, const Vec6& w, const Record& record) {
-    begun_ = newton.x;
-    Code code = STALLED;
-    for (double fraction : {SHORT, LONG}) {
-      newton.x = begun_;
-      newton.rows.set_edge(newton.rows.LARGEST_EDGE);
-      code = newton.descend_from(begun_, call, w, record, fraction);
-      if (code != STALLED) break;
-    }
-    return code;
-  }
-
-  // True if the least excess follows from a previous one in newton.x, without a proof.
-  bool follow_excess(const Call& call, const Vec6& w, const Record& record) {
-    if (!(newton.rows.excess(newton.x) > EXCESS_FLOOR)) return false;
-    newton.cones.store_force(newton.x, record.initial_force());
-    std::fill(record.torsion(), record.torsion() + newton.cones.count, 0.0);
-    Summary& s = record.summary();
-    s.iterations = s.trials = 0.0;
-    std::copy(call.wrench, call.wrench + 6, s.wrench.begin());
-    const bool exceeded =
-        minimise_excess(w, record) == LIMITS_EXCEEDED && s.lower_bound > EXCESS_FLOOR;
-    s.code = exceeded ? LIMITS_EXCEEDED : REFUSED;
-    return exceeded;
-  }
-
-  Code minimise_excess(const Vec6& w, const Record& record) {
-    const auto& cones = newton.cones;
-    const auto force = least_.solve(cones, newton.rows, newton.system, w, newton.x);
-    cones.balance(newton.x, w);
-    cones.certify(newton.x, w, record);
-    Summary& s = record.summary();
-    s.iterations += force.iterations;
-    s.trials += force.iterations;
-    s.objective = s.limit_excess = newton.rows.excess(newton.x);
-    s.lower_bound = force.bound;
-    s.multipliers = cones.unit.pull_back(force.multipliers);
-    return force.certified && s.margin > 0.0 ? LIMITS_EXCEEDED : STALLED;
+    const Code code = newton.descend_from(begun_, call, w, record, fraction, leaping);
+    return code == STALLED ? REFUSED : code;
   }
 };
 

@@ -6,14 +6,14 @@
 
 namespace grasp {
 
-// Rows: further terms of Phi, such as limits (`LimitTerms`). D: variables of a contact, see
+// Rows: further terms of Phi, the limits (`Barriers`). D: variables of a contact, see
 // `Cones`.
 template <class V, int B, class Rows = NoRows, int D = 3> class NewtonSolver {
  public:
   using Field = typename Cones<V, B, D>::Field;
   using X = Vec<V, D>;
   Cones<V, B, D> cones;
-  System<V, B, D> system;
+  System<V, B, D, Rows> system;
   QrSystem<V, B, D> qr_system;
   Rows rows;
   Field x;                  // the start, then the iterate
@@ -141,29 +141,20 @@ template <class V, int B, class Rows = NoRows, int D = 3> class NewtonSolver {
   static constexpr double MISSED = 1e-8;
   Field step_, begun_, best_, centring_;
 
-  typename System<V, B, D>::NewtonStep find_step(const Vec6& nu, const Vec6& left, double value) {
+  typename System<V, B, D, Rows>::NewtonStep find_step(const Vec6& nu, const Vec6& left,
+                                                       double value) {
     return system.step(cones, x, nu, left, value, step_, rows);
   }
 
   bool certified(const Call& call, double value, const DescentProgress& at) const {
     const double tolerance = call.stop.tolerance;
-    const bool closed = at.known ? at.bound > 0.0 && value - at.bound <= tolerance * at.bound
-                                 : By::certified(value, at.bound, tolerance);
-    if constexpr (Rows::has_terms)
-      return closed && rows.within(x);
-    else
-      return closed;
+    return at.known ? at.bound > 0.0 && value - at.bound <= tolerance * at.bound
+                    : By::certified(value, at.bound, tolerance);
   }
 
   bool assemble() {
-    if constexpr (Rows::has_terms) {
-      const auto add_terms = [&](int b, X& gradient, Sym<V, D>& inverse) {
-        rows.add_to_gradient_and_hessian(b, x[b], gradient, inverse);
-      };
-      return system.assemble(cones, x, add_terms);
-    } else {
-      return system.assemble(cones, x);
-    }
+    if constexpr (Rows::has_terms) rows.measure(x);
+    return system.assemble(cones, x, rows);
   }
 
   void move(double alpha) {
@@ -175,7 +166,7 @@ template <class V, int B, class Rows = NoRows, int D = 3> class NewtonSolver {
                                  double fraction, bool leaping) {
     const double tolerance = call.stop.tolerance;
     const double tight = By::dual_precision(tolerance);
-    typename System<V, B, D>::NewtonStep step{};
+    typename System<V, B, D, Rows>::NewtonStep step{};
     const auto closed = [&] { return certified(call, at.value, at); };
     const auto find = [&](Code& code) {
       if (!assemble()) return Next::stop;
@@ -196,19 +187,6 @@ template <class V, int B, class Rows = NoRows, int D = 3> class NewtonSolver {
         ++at.iterations;
         code = CONVERGED;
         return Next::stop;
-      }
-      if constexpr (Rows::has_terms) {
-        const Verdict now = rows.judge(cones, at.nu, w, step.decrement / at.value, at.iterations);
-        if (now == Verdict::sharpened) {
-          at.value = cones.phi(x, rows);
-          at.bound = -infinity;
-        }
-        if (now == Verdict::sharpened && at.iterations < call.stop.limit) return Next::repeat;
-        if (now == Verdict::infeasible) {
-          code = INFEASIBLE;
-          return Next::stop;
-        }
-        if (now != Verdict::proceed) return Next::stop;
       }
       if (!at.known && (By::promises_tolerance(at.value, step.decrement, tolerance) ||
                         at.iterations >= call.stop.limit))

@@ -33,25 +33,16 @@ template <class V, int B> class Algorithms {
     if (!algorithm) return unserved();
     const bool general_serves = algorithm == Algorithm::general ||
                                 algorithm == Algorithm::limited_conic ||
-                                (kind == ProblemKind::soft && starts_.requested() == Start::given);
+                                (on_.current.now.soft() && starts_.requested() == Start::given);
+    if (algorithm == Algorithm::limited && !general_serves)
+      return on_.soft_limited ? start_within(*on_.soft_limited) : start_within(*on_.limited);
     const Code code = general_serves ? UNDECIDED : starts_.find();
-    if (code == CONVERGED) {
-      const auto& x = on_.newton.x;
-      cones_.store_force(x, record_.initial_force());
-      cones_.certify(x, w_, record_);
-      record_.summary().objective = phi_of(x);
-      record_.summary().lower_bound = -infinity;
-      return STARTED;
-    }
+    if (code == CONVERGED) return write_start(cones_, on_.newton.x, phi_of(on_.newton.x));
     if (code == INFEASIBLE && kind != ProblemKind::soft) return write_proof();
-    if (code == REFUSED || on_.has_flow()) return code;
-    const Code answer = general({call_.stop.tolerance, 0});
-    return answer == CONVERGED || answer == STALLED || answer == LIMIT ? STARTED : answer;
+    return code == REFUSED || on_.has_flow() ? code : general_start();
   }
 
  private:
-  // of the mean normal force: smallest slack of a start within limits
-  static constexpr double WELL_INSIDE = 1e-3;
   Solvers<V, B>& on_;
   CallState& call_;
   Starts<V, B> starts_;
@@ -115,6 +106,25 @@ template <class V, int B> class Algorithms {
         return general();
     }
   }
+  template <int D> Code write_start(const Cones<V, B, D>& cones,
+                                    const typename Cones<V, B, D>::Field& x, double objective) {
+    cones.store_force(x, record_.initial_force());
+    cones.certify(x, w_, record_);
+    record_.summary().objective = objective;
+    record_.summary().lower_bound = -infinity;
+    return STARTED;
+  }
+  Code general_start() {
+    const Code answer = general({call_.stop.tolerance, 0});
+    return answer == CONVERGED || answer == STALLED || answer == LIMIT ? STARTED : answer;
+  }
+  template <int D> Code start_within(LimitedNewton<V, B, D>& limited) {
+    int steps = 0;
+    const Code code = begin_within_limits(limited, false, steps);
+    const auto& on = limited.newton;
+    if (code == CONVERGED) return write_start(on.cones, on.x, on.cones.phi(on.x, on.rows));
+    return code == UNDECIDED ? general_start() : code;
+  }
   // The method has no algorithm for these contacts.
   Code unserved() const {
     return on_.current.now.placing == Placing::rank_lost ? RANK_LOST : REFUSED;
@@ -174,52 +184,74 @@ template <class V, int B> class Algorithms {
   }
 
   Code within_limits() {
-    auto& limited = *on_.limited;
+    return on_.soft_limited ? within_limits(*on_.soft_limited) : within_limits(*on_.limited);
+  }
+  template <int D> Code within_limits(LimitedNewton<V, B, D>& limited) {
     Call call = call_.from();
-    Code begun = CONVERGED;
     const bool follows = follows_previous(call);
-    if (follows)
-      call.exceeding =
-          call_.request.previous &&
-          Record(const_cast<double*>(call_.request.previous)).code() == LIMITS_EXCEEDED;
-    const auto begin = [&](const Vec6&, bool previous) {
-      if (previous)
-        begun = starts_.carry_previous() ? CONVERGED : UNDECIDED;
-      else
-        begun = follows ? starts_.find_replacement() : starts_.find();
-      if (begun == CONVERGED) limited.newton.x = on_.newton.x;
-      return begun == CONVERGED;
-    };
-    const Code code = limited.solve(call, record_, begin);
-    if (code != REFUSED) {
-      write_multipliers(code);
-      return code;
+    if (call_.used.start == Start::given && on_.current.now.soft()) return general();
+    if (follows) {
+      if (follow_excess()) return LIMITS_EXCEEDED;
+      const Code code = limited.follow(call, w_, record_);
+      if (code != REFUSED) return finish(limited, code);
+      call = call_.from();
     }
-    if (begun == INFEASIBLE) return write_proof();
-    if (begun == REFUSED) return REFUSED;
+    int steps = 0;
+    Code code = begin_within_limits(limited, follows, steps);
+    if (code == INFEASIBLE && steps > 0 && on_.options.elastic) return least_excess();
+    if (code == INFEASIBLE || code == REFUSED) return code;
+    if (code == CONVERGED) {
+      call.stop.limit -= steps;
+      code = limited.descend(call, w_, record_);
+      record_.summary().iterations += steps;
+      record_.summary().trials += steps;
+    }
+    if (code == CONVERGED || code == LIMIT) return finish(limited, code);
     return starts_.is_default() ? general() : UNDECIDED;
   }
-  // Write the multipliers of an optimum of Phi or of a proof.
-  void write_multipliers(Code code) {
-    std::vector<double>& multipliers = on_.answer.multipliers;
-    const LimitTable& table = on_.current.table;
-    if (code == INFEASIBLE) {
-      const double scale = on_.limited->proof_scale;
-      on_.limited->newton.rows.multipliers(
-          [&](int m, double multiplier) { multipliers[m] = scale * multiplier / table.sizes[m]; });
-    } else {
-      for (int k = 0; k < int(table.owners.size()); ++k) multipliers[k] = multiplier_at_optimum(k);
-    }
+  // Find a start inside the limits. follows: a previous solution was of no use. steps: number of
+  // steps taken. CONVERGED: it is in `limited`. INFEASIBLE: with the proof; after steps, `newton.x`
+  // is balanced and in the cones. UNDECIDED: there is none, or it is not found quickly.
+  template <int D>
+  Code begin_within_limits(LimitedNewton<V, B, D>& limited, bool follows, int& steps) {
+    const Code begun = follows ? starts_.find_replacement() : starts_.find();
+    if (begun == INFEASIBLE) return D == 3 ? write_proof() : UNDECIDED;
+    if (begun != CONVERGED || limited.begin(on_.newton.x)) return begun;
+    const bool closed = on_.has_internal_force();
+    call_.used.replaced = !starts_.is_default();
+    call_.used.start = Start::phase_one;
+    const Code code = on_.template find_inside_limits<D>(
+        call_, closed ? on_.internal_force() : on_.newton.x, !closed, limited.newton.x);
+    steps = int(record_.summary().iterations);
+    return code == CONVERGED || code == INFEASIBLE ? code : UNDECIDED;
   }
-  // Multiplier of the k-th row of the current contacts at an optimum of Phi.
-  double multiplier_at_optimum(int k) const {
-    const LimitTable& table = on_.current.table;
-    const int i = table.owners[k];
-    double slack = table.bounds[k];
-    for (int a = 0; a < 3; ++a)
-      slack -=
-          table.normals[3 * k + a] * record_.force()[3 * i + a] * on_.current.now.scale[3 * i + a];
-    return slack > 0.0 ? table.weights[k] / (slack * slack * table.sizes[k]) : 0.0;
+  template <int D> Code finish(LimitedNewton<V, B, D>& limited, Code code) {
+    limited.store_multipliers(on_.answer.multipliers.data());
+    return code;
+  }
+  // Follow a previous least excess. Return false if there is none.
+  bool follow_excess() {
+    const double* previous = call_.request.previous;
+    if (!on_.has_excess() || !previous ||
+        Record(const_cast<double*>(previous)).code() != LIMITS_EXCEEDED ||
+        !starts_.carry_previous())
+      return false;
+    cones_.store_force(on_.newton.x, record_.initial_force());
+    return on_.excess->follow(cones_, w_, on_.newton.x, record_) == LIMITS_EXCEEDED;
+  }
+  // Replace a proof that no force keeps the limits by the force that exceeds them least. `newton.x`
+  // holds a balanced force in the cones.
+  Code least_excess() {
+    Summary& s = record_.summary();
+    if (on_.has_excess()) {
+      const Summary proof = s;
+      cones_.store_force(on_.newton.x, record_.initial_force());
+      if (on_.excess->solve(cones_, w_, on_.newton.x, record_) == LIMITS_EXCEEDED)
+        return LIMITS_EXCEEDED;
+      s = proof;
+    }
+    General* program = on_.general();
+    return program ? program->excess(record_) : INFEASIBLE;
   }
 
   Code soft() {
@@ -260,15 +292,20 @@ template <class V, int B> class Algorithms {
         call_.wrench.data(), closed ? on_.internal_force() : on_.newton.x, !closed);
     if (code == CONVERGED || (code == INFEASIBLE && !on_.options.elastic)) return code;
     const bool hard = on_.placement.kind == ProblemKind::hard;
-    if (hard && code != REFUSED && on_.finish_conic(call_.wrench.data()) == CONVERGED)
+    if (hard && code != REFUSED &&
+        on_.finish_conic(call_.wrench.data(), call_.stop.limit) == CONVERGED)
       return CONVERGED;
     return general();
   }
 
-  // The least excess has steps of its own: where no force keeps the limits, a descent may spend all
-  // of the call's.
+  // With the steps that a faster algorithm left. The least excess has steps of its own: where no
+  // force keeps the limits, a descent may spend all of the call's.
   Code general() {
-    const Code code = general(call_.stop);
+    const double spent = record_.summary().iterations;
+    const int left = std::max(0, call_.stop.limit - int(spent));
+    const Code code = general({call_.stop.tolerance, left});
+    record_.summary().iterations += spent;
+    record_.summary().trials += spent;
     return on_.options.elastic && code == INFEASIBLE ? on_.general()->excess(record_) : code;
   }
   Code general(const StopRule& stop) {
@@ -306,48 +343,9 @@ template <class V, int B> class Algorithms {
       used.start = Start::phase_one;
       call.start = From::combination;
     }
-    int spent = 0;
-    if (used.start == Start::phase_one && start != Start::phase_one) {
-      // half of the steps at most, so that some are left if it fails
-      const bool good = solve_without_limits(program, call_.stop.limit / 2, spent);
-      if (good) take_given(call, From::given);
-    }
-    call.stop = {stop.tolerance, std::max(0, stop.limit - spent)};
+    call.stop = stop;
     program.phi(call, record_);
-    record_.summary().iterations += spent;
-    record_.summary().trials += spent;
     return record_.code();
-  }
-  // Solve without limits into `given`. Return true if that optimum is well within the limits: such
-  // a start costs a tenth of the deepest force. spent: number of steps.
-  bool solve_without_limits(General& program, int limit, int& spent) {
-    const ProblemKind kind = on_.placement.kind;
-    if ((kind != ProblemKind::joined && kind != ProblemKind::soft_limited) || !on_.is_full_rank() ||
-        !on_.has_internal_force())
-      return false;
-    auto& newton = on_.newton;
-    const Contacts& now = on_.current.now;
-    const Record record(newton.row.data(), now.count);
-    const Call call{.wrench = call_.wrench.data(), .stop = {call_.stop.tolerance, limit}};
-    grasp::begin(cones_, on_.internal_force(), w_, newton.x);
-    Code code = REFUSED;
-    if (now.soft()) {
-      on_.place_soft();
-      code = on_.soft->solve(call, record, [&](const Vec6&) {
-        on_.soft->begin(newton.x);
-        return true;
-      });
-    } else {
-      on_.begun = newton.x;
-      code = newton.descend_from(on_.begun, call, w_, record);
-    }
-    spent = int(record.summary().iterations);
-    if (code != CONVERGED) return false;
-    std::copy_n(record.force(), 3 * now.count, on_.given.force.data());
-    std::copy_n(record.torsion(), now.count, on_.given.torsion.data());
-    double normals = 0.0;
-    for (int i = 0; i < now.count; ++i) normals += on_.given.force[3 * i] / now.count;
-    return program.slack(on_.given.force.data(), on_.given.torsion.data()) > WELL_INSIDE * normals;
   }
 };
 

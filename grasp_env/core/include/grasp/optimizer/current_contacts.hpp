@@ -53,7 +53,7 @@ class CurrentContacts {
   bool tabulates = true;    // a call fills `table`
   LimitTable table;         // limits of the current contacts, if each acts on one contact
   std::vector<int> chosen;  // indices of the contacts that touch
-  bool separate = true;     // true if each limit acts on one contact
+  bool separate = true;     // `table` holds the limits: each acts on one contact
 
   explicit CurrentContacts(const Problem& problem)
       : home(problem.contacts),

@@ -6,11 +6,10 @@ namespace grasp::detail {
 
 // Classes of problems that differ in their algorithm.
 enum class ProblemKind {
-  hard,     // hard, elliptic and frictionless contacts
-  limited,  // the same, with limits on one contact each: normal forces, joints of one finger
-  soft,     // some contacts are soft, and the normal and tangential forces alone give force closure
-  joined,   // the same, with limits on several contacts: joints that fingers share
-  soft_limited,  // both
+  hard,          // hard, elliptic and frictionless contacts
+  limited,       // the same, with limits
+  soft,          // some contacts are soft, and normal and tangential forces alone are of full rank
+  soft_limited,  // the same, with limits
   other,         // contacts that need torsion to balance wrenches of every direction, or cannot
 };
 enum class Algorithm { newton, limited, soft, flow, conic, limited_conic, general };
@@ -27,14 +26,12 @@ inline constexpr Plan PLANS[] = {
     {Method::newton, ProblemKind::hard, Algorithm::newton},
     {Method::newton, ProblemKind::limited, Algorithm::limited},
     {Method::newton, ProblemKind::soft, Algorithm::soft},
-    {Method::newton, ProblemKind::joined, Algorithm::general},
-    {Method::newton, ProblemKind::soft_limited, Algorithm::general},
+    {Method::newton, ProblemKind::soft_limited, Algorithm::limited},
     {Method::newton, ProblemKind::other, Algorithm::general},
     {Method::reduced_flow, ProblemKind::hard, Algorithm::flow},
     {Method::full_flow, ProblemKind::hard, Algorithm::flow},
     {Method::conic, ProblemKind::hard, Algorithm::conic},
     {Method::conic, ProblemKind::limited, Algorithm::limited_conic},
-    {Method::conic, ProblemKind::joined, Algorithm::limited_conic},
     {Method::conic, ProblemKind::soft, Algorithm::limited_conic},
     {Method::conic, ProblemKind::soft_limited, Algorithm::limited_conic},
     {Method::conic, ProblemKind::other, Algorithm::general},

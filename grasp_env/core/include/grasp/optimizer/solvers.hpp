@@ -1,11 +1,14 @@
 // The solvers of an optimizer, placed on the contacts and limits of the current call.
 #pragma once
+#include <utility>
 #include <grasp/conic/limited.hpp>
 #include <grasp/flow/flow.hpp>
 #include <grasp/general/general.hpp>
 #include <grasp/many/basis.hpp>
+#include <grasp/newton/excess.hpp>
 #include <grasp/newton/limited.hpp>
 #include <grasp/newton/soft.hpp>
+#include <grasp/optimizer/call_state.hpp>
 #include <grasp/optimizer/checks.hpp>
 #include <grasp/optimizer/current_contacts.hpp>
 #include <grasp/optimizer/plans.hpp>
@@ -52,6 +55,8 @@ template <class V, int B> class Solvers {
   NewtonSolver<V, B> newton;
   Starter<V, B> starter;
   std::optional<LimitedNewton<V, B>> limited;
+  std::optional<LimitedNewton<V, B, 4>> soft_limited;
+  std::optional<LeastExcess<V, B>> excess;  // of limits on one contact each
   std::optional<SoftNewton<V, B>> soft;
   std::optional<Prediction<V, B>> prediction;
   Tangents<V, B> home_tangents;
@@ -83,17 +88,16 @@ template <class V, int B> class Solvers {
                  options.criterion == Criterion::torque ? current.joints : 0) {
     check(current, options);
     const bool conic = options.method == Method::conic;
-    current.tabulates = !conic;
-    if (current.limits.rows && !conic) {
-      limited.emplace(count());
-      limited->elastic = options.elastic;
-    }
-    if (current.home.soft() && !conic) soft.emplace(count());
+    const bool is_soft = current.home.soft();
+    const bool has_limits = current.limits.rows > 0;
     const StopRule stop{options.gap(), std::min(options.limit, LIMITED_ITERATIONS)};
-    if (conic && current.home.soft())
-      soft_conic_.emplace(count(), stop);
-    else if (conic)
-      limited_conic_.emplace(count(), stop);
+    if (is_soft && !conic) soft.emplace(count());
+    if (has_limits && !conic && is_soft) soft_limited.emplace(count());
+    if (has_limits && !conic && !is_soft) limited.emplace(count());
+    if ((has_limits || conic) && is_soft) soft_conic_.emplace(count(), stop);
+    if ((has_limits || conic) && !is_soft) limited_conic_.emplace(count(), stop);
+    current.tabulates = options.elastic && !conic && !is_soft;
+    if (current.tabulates) excess.emplace(newton.cones);
     place_home();
     if (options.method == Method::reduced_flow)
       flow_.emplace(newton.cones, options.step_rule, Form::reduced);
@@ -118,9 +122,10 @@ template <class V, int B> class Solvers {
   // Load the contacts and limits of the problem, with space for all of them.
   void place_home() {
     placement.home = false;
-    if (limited)
-      limited->newton.rows.reserve(newton.cones,
-                                   std::min(current.limits.rows, LimitTable::MOST_ROWS));
+    if (limited) limited->reserve(current.limits.rows);
+    if (soft_limited) soft_limited->reserve(current.limits.rows);
+    if (excess)
+      excess->rows.reserve(newton.cones, std::min(current.limits.rows, LimitTable::MOST_ROWS));
     if (limited_conic_) limited_conic_->reserve(current.limits.rows);
     if (soft_conic_) soft_conic_->reserve(current.limits.rows);
     home_depth_ = 0.0;
@@ -158,10 +163,9 @@ template <class V, int B> class Solvers {
     });
     return conic_;
   }
-  void place_soft() {
-    soft->newton.cones.count = current.now.count;
-    soft->newton.cones.pack(current.now);
-  }
+  void place_soft() { pack(soft->newton.cones); }
+  // True if `excess` can be used: each limit acts on one contact.
+  bool has_excess() const { return excess && current.separate; }
   // Solve the exact problem with limits, soft contacts or without force closure from `inside`,
   // which is strictly inside the cones: a balanced force, or an internal one. REFUSED: numbers are
   // too large.
@@ -169,13 +173,33 @@ template <class V, int B> class Solvers {
     return soft_conic_ ? solve_limited_conic(*soft_conic_, wrench, inside, balanced)
                        : solve_limited_conic(*limited_conic_, wrench, inside, balanced);
   }
+  // Find a force strictly inside cones and limits, near the optimum of Phi, into x.
+  template <int D> Code find_inside_limits(const CallState& call, const Field& inside,
+                                           bool balanced, typename Cones<V, B, D>::Field& x) {
+    auto& solver = *[&] {
+      if constexpr (D == 3)
+        return &limited_conic_;
+      else
+        return &soft_conic_;
+    }();
+    if (!place_conic(*solver, inside)) return REFUSED;
+    solver->options.limit = std::min(call.stop.limit, LIMITED_ITERATIONS);
+    double product = 0.0;
+    for (int i = 0; i < current.now.count; ++i)
+      product += std::sqrt(current.now.lambda[i] * squeezing_cost(current.now.omega[i]));
+    return solver->centre(call.wrench.data(), balanced, ABOVE * product / current.now.count, x,
+                          record(), answer.multipliers.data());
+  }
   // Go on without limits from its last iterate, with more digits. Spoils the internal force.
-  Code finish_conic(const double* wrench) {
+  Code finish_conic(const double* wrench, int limit) {
+    const double before = record().summary().iterations;
+    if (before >= limit) return LIMIT;
     ConicSolver<V, B>& solver = conic();
     internal_force_.at(placement, [] { return false; }) = false;
     limited_conic_->store_iterate(solver);
-    const double before = record().summary().iterations;
+    const int most = std::exchange(solver.options.limit, limit - int(before));
     const Code code = solver.solve_from_iterate(wrench, record());
+    solver.options.limit = most;
     record().summary().iterations += before;
     record().summary().trials += before;
     return code;
@@ -220,6 +244,8 @@ template <class V, int B> class Solvers {
 
  private:
   static constexpr int LIMITED_ITERATIONS = 40;  // of the exact solver within limits; 8 are usual
+  // Slack times multiplier at a start within limits, of the usual product at the optimum of Phi.
+  static constexpr double ABOVE = 10.0;
   // of the depth of the problem's internal force: enough for the current contacts
   static constexpr double AS_DEEP = 0.5;
   ConicSolver<V, B> conic_;
@@ -258,21 +284,30 @@ template <class V, int B> class Solvers {
     newton.cones.pack(current.now);
     starter.tangents.load(current.now.frames.data(), current.now.count);
     placement.kind = kind();
-    if (soft && placement.kind == ProblemKind::soft) {
-      place_soft();
-    } else if (limited && placement.kind == ProblemKind::limited) {
-      limited->newton.cones = newton.cones;
-      limited->newton.rows.pack(newton.cones, current.table.rows());
-    }
-    return CONVERGED;
+    if (soft && placement.kind == ProblemKind::soft) place_soft();
+    if (has_excess()) excess->rows.pack(newton.cones, current.table.rows());
+    const bool packed =
+        (!limited || pack_limits(*limited)) && (!soft_limited || pack_limits(*soft_limited));
+    return packed ? CONVERGED : REFUSED;
+  }
+  template <int D> bool pack_limits(LimitedNewton<V, B, D>& to) {
+    pack(to.newton.cones);
+    return to.newton.rows.pack(to.newton.cones, current.limits_in_place(), current.preload);
+  }
+  // Pack the current contacts.
+  template <int D> void pack(Cones<V, B, D>& to) {
+    to.count = current.now.count;
+    if constexpr (D == 3)
+      to = newton.cones;
+    else
+      to.pack(current.now);
   }
   ProblemKind kind() const {
     const bool soft = current.now.soft();
     const bool limited = current.limits.rows > 0;
     if (!is_full_rank()) return ProblemKind::other;
     if (soft) return limited ? ProblemKind::soft_limited : ProblemKind::soft;
-    if (!limited) return ProblemKind::hard;
-    return current.separate ? ProblemKind::limited : ProblemKind::joined;
+    return limited ? ProblemKind::limited : ProblemKind::hard;
   }
   // Set the number of contacts. Unused lanes hold a contact without effect.
   void set_count(int count) {
@@ -284,22 +319,26 @@ template <class V, int B> class Solvers {
     for (Field* field : {&newton.x, &begun, &work, &predicted, &conic_.rest}) clear(*field);
     if (limited) clear(limited->newton.x);
     if (soft) clear(soft->newton.x);
+    if (soft_limited) clear(soft_limited->newton.x);
   }
 
   template <int D> Code solve_limited_conic(LimitedConic<V, B, D>& solver, const double* wrench,
                                             const Field& inside, bool balanced) {
+    if (!place_conic(solver, inside)) return REFUSED;
+    return solver.solve(wrench, balanced, record(), answer.multipliers.data());
+  }
+  // Place the exact solver, with an `inside`. Return false if numbers are too large.
+  template <int D> bool place_conic(LimitedConic<V, B, D>& solver, const Field& inside) {
     const auto place = [&] {
-      solver.cones.count = current.now.count;
-      if constexpr (D == 3)
-        solver.cones = newton.cones;
-      else
-        solver.cones.pack(current.now);
+      pack(solver.cones);
+      if (options.method == Method::newton)
+        for (auto& c : solver.cones.blocks) c.cost = squeezing_cost(c.weights.omega);
       return solver.limits.pack(solver.cones, current.limits_in_place(), current.preload);
     };
-    if (!limited_conic_placed_.at(placement, place)) return REFUSED;
+    if (!limited_conic_placed_.at(placement, place)) return false;
     for (std::size_t b = 0; b < solver.inside.size(); ++b)
       for (int a = 0; a < 3; ++a) solver.inside[b][a] = inside[b][a];
-    return solver.solve(wrench, balanced, record(), answer.multipliers.data());
+    return true;
   }
   bool needs_basis() const {
     const Start start = options.start;

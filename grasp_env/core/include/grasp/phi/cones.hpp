@@ -198,16 +198,15 @@ template <class V, int B, int D = 3> class Cones {
 
   // +inf unless strictly inside every cone
   template <class R = NoRows> S phi(const Field& x, const R& rows = {}) const {
-    return phi_of(rows, 0.0, [&](int b) { return x[b]; });
+    return phi_of(rows, [&](int b) { return x[b]; });
   }
   template <class R = NoRows>
   S phi_along(const Field& x, const Field& step, const S& alpha, const R& rows = {}) const {
-    return phi_of(rows, alpha, [&](int b) { return x[b] + all<V>(alpha) * step[b]; });
+    return phi_of(rows, [&](int b) { return x[b] + all<V>(alpha) * step[b]; });
   }
   // the same with `part` of the squeezing cost
   double phi_along(const Field& x, const Field& step, double alpha, double part) const {
-    return phi_of(
-        NoRows{}, alpha, [&](int b) { return x[b] + all<V>(alpha) * step[b]; }, all<V>(part));
+    return phi_of(NoRows{}, [&](int b) { return x[b] + all<V>(alpha) * step[b]; }, all<V>(part));
   }
   // d Phi(x + alpha step) / d alpha
   double slope_along(const Field& x, const Field& step, double alpha) const {
@@ -312,7 +311,7 @@ template <class V, int B, int D = 3> class Cones {
       for (int n = 0; n < W && W * b + n < count; ++n) f(b, many<V> ? lane : n, 3 * (W * b + n));
   }
   template <class R, class F, class... Part>
-  S phi_of(const R& rows, [[maybe_unused]] const S& alpha, F&& at, Part... part) const {
+  S phi_of([[maybe_unused]] const R& rows, F&& at, Part... part) const {
     V total{};
     V room = all<V>(infinity);
     for (int b = 0; b < int(blocks.size()); ++b) {
@@ -320,11 +319,12 @@ template <class V, int B, int D = 3> class Cones {
       Weights<V, D> w = blocks[b].weights;
       w.omega = (w.omega * ... * part);
       V term = grasp::phi(x, w);
-      if constexpr (R::has_terms) term += rows.value(b, x, alpha);
+      if constexpr (R::has_terms) term += rows.value(b, x);
       total += blocks[b].mask * term;
       room = min(room, min(x.u, lorentz(x, x)));
     }
-    const S value = sum(total);
+    S value = sum(total);
+    if constexpr (R::has_terms) value += rows.joint_value(at);
     return select((least(room) > 0.0) & (value == value), value, S(infinity));
   }
   template <class R, class F>
@@ -335,13 +335,14 @@ template <class V, int B, int D = 3> class Cones {
       V room;
       X y = blocks[b].transposed(nu);
       [[maybe_unused]] V more;
-      if constexpr (R::has_terms) more = rows.dual(b, nu, y);
+      if constexpr (R::has_terms) more = rows.dual(b, y);
       V term = least_of(y, b, room);
       if constexpr (R::has_terms) term += more;
       total += blocks[b].mask * term;
       smallest = min(smallest, room);
     }
-    const S value = sum(total) - dot(nu, w);
+    S value = sum(total) - dot(nu, w);
+    if constexpr (R::has_terms) value += rows.joint_dual();
     return select((least(smallest) > 0.0) & (value == value), value, S(-infinity));
   }
 };

@@ -1,5 +1,5 @@
-// Further terms of Phi: the rows that a `NewtonSolver` takes besides the cones. `LimitTerms`
-// (limits/terms.hpp) adds limits.
+// Further terms of Phi: the rows that a `NewtonSolver` takes besides the cones. `Barriers`
+// (limits/barriers.hpp) adds limits.
 #pragma once
 
 namespace grasp {
@@ -8,9 +8,5 @@ namespace grasp {
 struct NoRows {
   static constexpr bool has_terms = false;
 };
-
-// Decision of the terms after a Newton step was computed: continue; the edge was lowered; no force
-// keeps the limits; neither is known.
-enum class Verdict { proceed, sharpened, infeasible, inconclusive };
 
 }  // namespace grasp

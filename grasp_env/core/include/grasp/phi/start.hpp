@@ -141,7 +141,7 @@ template <class V, int B> class Starter {
   // error of balance.
   bool tangent(const Cones<V, B>& cones, System<V, B>& system, const Vec6& w, Field& x) {
     if (!system.assemble(cones, x)) return false;
-    cones.subtract(x, system.restore(cones, system.applied + w, x) + w);
+    cones.subtract(x, system.restore(cones, {}, system.applied + w, x) + w);
     return true;
   }
 

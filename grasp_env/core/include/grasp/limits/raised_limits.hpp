@@ -1,21 +1,15 @@
 // Limits that are linear in one contact's force, a . x <= b, such as the joint torques of one
-// finger, as terms of Phi. It gains lambda / slack for each row of length one: a rank-one change of
-// the contact's 3 x 3 inverse Hessian.
-//
-// Below a small slack, the edge, the barrier is replaced by its quadratic extension (C2), so any
-// force inside the cones is a valid start. The edge is lowered until every slack is above it: then
-// optimum and bound are those of lambda / slack. Or Newton's multipliers prove that no force keeps
-// the limits (Farkas).
+// finger, raised by a share t of each: the rows of `LeastExcess`, and what their multipliers prove.
 #pragma once
 #include <grasp/phi/cones.hpp>
 #include <grasp/limits/normal_bound.hpp>
 
 namespace grasp {
 
-// a . x <= bound + t share, or -a . x for the other side. A missing side has no weight and share.
+// a . x <= bound + t share, or -a . x for the other side. A missing side has present = share = 0.
 template <class V> struct Side {
-  V bound, share, weight;
-  // at x; bend: growth of the multiplier, >= 0, as the slack shrinks
+  V bound, share, present;
+  // bend: growth of the multiplier, >= 0, as the slack shrinks
   V slack, multiplier, bend;
   V dslack, dmultiplier;  // change by a step
 
@@ -45,9 +39,8 @@ template <class V> struct Pair {
 };
 
 // All rows. Every contact gets as many pairs as the contact with most rows needs.
-template <class V, int B> class LimitTerms {
+template <class V, int B> class RaisedLimits {
  public:
-  static constexpr bool has_terms = true;
   static constexpr int W = width<V>;
   using Field = typename Cones<V, B>::Field;
   int sides = 0;  // number of rows
@@ -58,7 +51,6 @@ template <class V, int B> class LimitTerms {
     pairs_of_.resize(W * blocks);
     for (auto& own_pairs : pairs_of_) own_pairs.reserve(rows);
     pairs_.reserve(size_t(rows) * blocks);
-    extra_multipliers_.reserve(W * blocks * size_t(rows));
     resize_blocks(blocks);
   }
   void pack(const Cones<V, B>& cones, const LimitRows& rows) {
@@ -80,11 +72,8 @@ template <class V, int B> class LimitTerms {
       pairs_per_contact_ = std::max(pairs_per_contact_, int(own_pairs.size()));
     }
     pairs_.assign(size_t(pairs_per_contact_) * blocks, no_pair());
-    extra_multipliers_.assign(rows.count, 0.0);
     resize_blocks(blocks);
     for (int b = 0; b < blocks; ++b) {
-      const auto& w = cones.blocks[b].weights;
-      scale_[b] = sqrt(w.lambda / w.omega);
       for (int n = 0; n < W; ++n) {
         const auto& own_pairs = pairs_of_[W * b + n];
         for (int k = 0; k < int(own_pairs.size()); ++k) {
@@ -95,92 +84,16 @@ template <class V, int B> class LimitTerms {
             if (m < 0) return;
             set(side.bound, n, rows.bound[m]);
             set(side.share, n, rows.share[m]);
-            set(side.weight, n, rows.weight[m]);
+            set(side.present, n, 1.0);
           });
         }
         const NormalBound room(rows, own_pairs);
         set(u_bound_[b], n, room.most);
         set(u_growth_[b], n, room.more);
-        bounding_rows_[W * b + n] = room.by;
       }
     }
     find_shift(cones);
   }
-
-  // The parabola begins at `edge` times the contact's own scale sqrt(lambda / omega), that of
-  // slacks at active limits. From LARGEST_EDGE on, any force is a start. A smaller first edge takes
-  // more steps to come inside, a larger one more steps to be lowered.
-  static constexpr double LARGEST_EDGE = 8.0;
-  void set_edge(double edge) { edge_ = edge; }
-
-  // --- as terms of Phi, block by block
-
-  V value(int b, const Vec3<V>& x, double) const {
-    V total{};
-    const V edge = all<V>(edge_) * scale_[b];
-    for_each(b, [&](const Pair<V>& p) {
-      const V along = dot(p.a, x);
-      total += barrier(p.high.bound - along, edge, p.high.weight) +
-               barrier(p.low.bound + along, edge, p.low.weight);
-    });
-    return total;
-  }
-  // Add the rows' terms to the gradient and the inverse Hessian of contacts b at x.
-  void add_to_gradient_and_hessian(int b, const Vec3<V>& x, Vec3<V>& gradient, Sym3<V>& inverse) {
-    const V edge = all<V>(edge_) * scale_[b];
-    if (b == 0) least_slack_ = all<V>(infinity);
-    for_each(b, [&](Pair<V>& p) {
-      const V along = dot(p.a, x);
-      p.sides([&](Side<V>& side, double sign) {
-        side.at(sign * along, 0.0);
-        least_slack_ = min(least_slack_, side.slack / scale_[b]);
-        const V c = max(side.slack, edge);
-        const V i = 1.0 / c;
-        const V multiplier = side.weight * i * i;
-        side.bend = 2.0 * multiplier * i;
-        side.multiplier = multiplier - side.bend * (side.slack - c);
-      });
-      gradient += p.multiplier() * p.a;
-      p.update_inverse(inverse);
-    });
-  }
-  // The multipliers of Newton's model after a step.
-  void predict_multipliers(int b, const Vec3<V>& step) {
-    for_each(b, [&](Pair<V>& p) {
-      const V along = dot(p.a, step);
-      p.sides([&](Side<V>& side, double sign) {
-        side.multiplier = max(V{}, side.multiplier + sign * side.bend * along);
-      });
-    });
-  }
-  // Subtract the rows from y = G^T nu. Return their part of the dual value, the minimum of
-  // barrier(slack) + multiplier (slack - bound).
-  V dual(int b, const Vec6&, Vec3<V>& y) const {
-    V total{};
-    const V edge = all<V>(edge_) * scale_[b];
-    for_each(b, [&](const Pair<V>& p) {
-      y -= p.multiplier() * p.a;
-      p.sides([&](const Side<V>& side, double) {
-        total += conjugate(side.multiplier, edge, side.weight) - side.multiplier * side.bound;
-      });
-    });
-    return total;
-  }
-
-  // --- over all contacts
-
-  // Smallest slack, relative to the contacts' scales.
-  double least_slack(const Field& x) const {
-    V out = all<V>(infinity);
-    for (int b = 0; b < int(x.size()); ++b)
-      for_each(b, [&](const Pair<V>& p) {
-        const V along = dot(p.a, x[b]);
-        out = min(out, min(p.high.bound - along, p.low.bound + along) / scale_[b]);
-      });
-    return least(out);
-  }
-  // True if all terms are lambda / slack at x.
-  bool within(const Field& x) const { return least_slack(x) >= edge_; }
 
   // Largest excess of a limit at x, as a fraction of the limit. A limit with share 0 is never
   // exceeded.
@@ -195,24 +108,6 @@ template <class V, int B> class LimitTerms {
     return largest(most);
   }
 
-  // Judge the Newton step from the last x. nu: its multipliers; decrement: its squared decrement as
-  // a fraction of Phi. If the multipliers prove that no force keeps the limits, nu becomes that
-  // proof.
-  Verdict judge(const Cones<V, B>& cones, Vec6& nu, const Vec6& w, double decrement,
-                int iterations) {
-    const double slack = least(least_slack_);
-    if (slack >= edge_) return Verdict::proceed;
-    // far below the edge the multipliers depend on the exact optimum with the parabola
-    const bool settled = decrement < (slack < -BROKEN * edge_ ? CLOSER : SETTLED);
-    if (slack <= 0.0 && (settled || (iterations >= 2 && iterations % 2 == 1)) &&
-        proves_infeasible(cones, nu, w))
-      return Verdict::infeasible;
-    if (!settled) return Verdict::proceed;
-    if (edge_ < LEAST_EDGE) return Verdict::inconclusive;
-    edge_ *= EDGE_FACTOR;
-    return Verdict::sharpened;
-  }
-
   // With multipliers y >= 0 and q = sum y a - G^T nu, a balanced force has sum q . x = sum y a . x
   // + nu . w. In the cones and within limits raised by t this is at least -sum delta u_max, where
   // delta is the distance of q from the dual cone, and at most sum y (b + t share) + nu . w. So
@@ -220,62 +115,29 @@ template <class V, int B> class LimitTerms {
   // lower bound on t. Contacts whose u_max no row bounds have nu changed (see `find_shift`) until
   // their delta is zero.
   struct Farkas {
-    double value, share, size;  // size: sum of the absolute terms of value
+    double value, share;
     Vec6 nu;
   };
   Farkas farkas(const Cones<V, B>& cones, const Vec6& multipliers, const Vec6& w,
                 double t = 0.0) const {
     const Vec6 nu = shifted(cones, multipliers);
-    V total{}, share{}, size{};
+    V total{}, share{};
     const V pushed = all<V>(-dot(shift_, w));
     for (int b = 0; b < int(cones.blocks.size()); ++b) {
       Vec3<V> q = -cones.blocks[b].transposed(nu);
       for_each(b, [&](const Pair<V>& p) {
         q += p.multiplier() * p.a;
         p.sides([&](const Side<V>& side, double) {
-          const V cost = side.multiplier * side.bound;
-          total += cost;
-          size += abs(cost);
+          total += side.multiplier * side.bound;
           share += side.multiplier * side.share;
         });
       });
       const V room = max(V{}, u_bound_[b] + all<V>(t) * u_growth_[b] + unbounded_[b] * pushed);
-      const V lacking = cones.blocks[b].mask * max(V{}, -slack(q)) * room;
-      total += lacking;
-      size += lacking;
+      total += cones.blocks[b].mask * max(V{}, -slack(q)) * room;
     }
     double value = sum(total);
     for (int r = 0; r < 6; ++r) value += nu[r] * w[r];
-    const double of = sum(size) + sum_of_sizes(nu) * grasp::size(w);
-    return {value, sum(share), of, nu};
-  }
-  bool proves_infeasible(const Cones<V, B>& cones, Vec6& nu, const Vec6& w) {
-    const Farkas proof = farkas(cones, nu, w);
-    if (!(proof.value < -PROOF_MARGIN * proof.size)) return false;
-    nu = proof.nu;
-    std::fill(extra_multipliers_.begin(), extra_multipliers_.end(), 0.0);
-    for (int i = 0; i < cones.count; ++i) {
-      Vec3<V> q = -cones.blocks[i / W].transposed(nu);
-      for_each(i / W, [&](const Pair<V>& p) { q += p.multiplier() * p.a; });
-      const double lacking = -get(slack(q), i % W);
-      for (int k = 0; k < 3 && lacking > 0.0; ++k)
-        if (const int m = bounding_rows_[i].row[k]; m >= 0)
-          extra_multipliers_[m] += lacking * bounding_rows_[i].part[k];
-    }
-    return true;
-  }
-
-  // Call f(row, multiplier) for all rows of the last proof: G^T v + sum multiplier a, v = -nu, lies
-  // in every dual cone. The rows that bound u provide what the multipliers lack.
-  template <class F> void multipliers(F&& f) const {
-    for (int i = 0; i < int(pairs_of_.size()); ++i)
-      for (int k = 0; k < int(pairs_of_[i].size()); ++k) {
-        const auto& pair = pairs_[pairs_per_contact_ * (i / W) + k];
-        const int high = pairs_of_[i][k].high;
-        const int low = pairs_of_[i][k].low;
-        f(high, get(pair.high.multiplier, i % W) + extra_multipliers_[high]);
-        if (low >= 0) f(low, get(pair.low.multiplier, i % W) + extra_multipliers_[low]);
-      }
+    return {value, sum(share), nu};
   }
 
   template <class F> void for_each(int b, F&& f) {
@@ -286,32 +148,21 @@ template <class V, int B> class LimitTerms {
   }
 
  private:
-  // squared decrement, as a fraction of Phi, below which the edge is lowered
-  static constexpr double SETTLED = 0.03;
-  static constexpr double CLOSER = 3e-4;  // the same if a row is BROKEN edges outside
-  static constexpr double BROKEN = 10.0;
-  static constexpr double EDGE_FACTOR = 1.0 / 16.0;
-  // below it the problem is nearly infeasible, for the general program
-  static constexpr double LEAST_EDGE = 1e-6;
   // fraction of the terms of a proof, far above rounding
   static constexpr double PROOF_MARGIN = BOUNDARY;
   // fraction of the trace: regularises contacts that least squares leave undetermined
   static constexpr double REGULARISATION = 1e-12;
   static constexpr double INSIDE = 0.1;  // of e_u: required depth of the answer in the dual cones
   static constexpr double PARALLEL = 1e-12;  // allowed difference of opposite rows
-  double edge_ = LARGEST_EDGE;
   int pairs_per_contact_ = 1;
   std::vector<std::vector<RowPair>> pairs_of_;  // pairs of each contact
   std::vector<Pair<V>> pairs_;                  // (blocks, each)
-  std::vector<BoundingRows> bounding_rows_;     // for each contact
-  std::vector<double> extra_multipliers_;       // (M,) of a proof, beyond those of the pairs
   // u is at most u_bound + t u_growth within limits raised by t
-  Blocks<V, B> scale_, u_bound_, u_growth_;
+  Blocks<V, B> u_bound_, u_growth_;
   // 1 for a contact that no row bounds, with u at most u_bound + t u_growth - shift . w
   Blocks<V, B> unbounded_;
   Vec6 shift_{};
   bool has_shift_ = false;
-  V least_slack_{};
 
   // For contacts that no row bounds: find by least squares a twist nu with G_i^T nu - e_u in the
   // dual cone of each. Adding it takes multipliers into their dual cones. It bounds the rounding
@@ -373,11 +224,9 @@ template <class V, int B> class LimitTerms {
   }
 
   void resize_blocks(int blocks) {
-    resize(scale_, blocks);
     resize(u_bound_, blocks);
     resize(u_growth_, blocks);
     resize(unbounded_, blocks);
-    bounding_rows_.resize(W * blocks);
   }
   static Pair<V> no_pair() {
     Pair<V> out{};
@@ -393,22 +242,6 @@ template <class V, int B> class LimitTerms {
     return any_of > 0.0 && off < PARALLEL;
   }
   static V part(const V& excess, const V& share) { return share > 0.0 ? excess / share : V{}; }
-
-  // lambda / slack; below `edge` its second-order expansion there
-  static V barrier(const V& slack, const V& edge, const V& weight) {
-    const V c = max(slack, edge);
-    const V i = 1.0 / c;
-    const V e = (slack - c) * i;
-    return weight * i * (1.0 - e + e * e);
-  }
-  // minimum over s of barrier(s) + multiplier s
-  static V conjugate(const V& multiplier, const V& edge, const V& weight) {
-    const V most = weight / (edge * edge);
-    const V inside = min(multiplier, most);
-    const V over = multiplier - inside;
-    const V bend = weight > 0.0 ? 0.25 * edge * edge * edge / weight : V{};
-    return 2.0 * sqrt(weight * inside) + over * edge - bend * over * over;
-  }
 };
 
 }  // namespace grasp
