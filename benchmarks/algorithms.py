@@ -34,8 +34,8 @@ ALGORITHMS = {
     "layer/smooth": "Newton to the last digits, with gradients; elastic: penalties that stay smooth",
     "flow/flow": "the paper's gradient flow, reduced and full",
     "conic/conic": "interior point for the least sum of normal forces",
-    "conic/limited": "the same with limits, soft contacts or without force closure: rank-one terms and a border",
-    "general/interior_point": "interior point for other objectives, any contacts, and after others give up",
+    "conic/limited": "the same with limits, other criteria, soft contacts or without force closure: rank-one terms and a border",
+    "general/interior_point": "interior point for any contacts, and after others give up",
     "general/payload": "interior point for the largest load along a direction, called from Python",
 }
 """Folder of each algorithm and the reason why it exists."""
@@ -116,9 +116,10 @@ def measured(settings: AlgorithmSettings) -> Iterator[tuple[str, str, Array]]:
     yield "conic/limited", "soft", timed(soft, method="conic")
     motors = ForceLimits(jacobian=jacobian(rng, 4, 12), torque_limit=np.inf)
     largest = timed(hard, method="conic", criterion="max", limits=bounds)
-    yield "general/interior_point", "the largest normal force, limited", largest
+    yield "conic/limited", "the largest normal force, limited", largest
     torque = timed(hard, method="conic", criterion="torque", limits=motors)
-    yield "general/interior_point", "least norm of 12 joint torques", torque
+    yield "conic/limited", "least norm of 12 joint torques", torque
+    yield "general/interior_point", "two soft fingers", timed(pinch, method="conic")
     directions = loads[: max(1, len(loads) // 10)]
     yield "general/payload", "normal forces limited", payloads(hard, directions, bounds)
     yield "general/payload", "the same by bisection", bisections(hard, directions, bounds)

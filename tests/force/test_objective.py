@@ -82,11 +82,11 @@ def test_conic_ends_although_rounding_makes_gaps_negative():
 
 
 def test_a_pivot_of_rounding_is_lifted():
-    """At the last digits the largest normal force takes 13 iterations on average, some twice as
-    many; without the lift it stalls."""
+    """The general program closes the last digits of the largest normal force, which the registers
+    leave. Both take 22 iterations on average; without the lift it stalls."""
     loads = np.random.default_rng(3).standard_normal((100, 6)) * [1, 1, 1, 0.1, 0.1, 0.1]
     solver = ForceOptimizer(CUBOID, method="conic", criterion="max", tolerance=1e-12)
     found = [solver.solve(load) for load in (PAPER_WRENCH, *loads)]
     optimal = [each.status is Status.OPTIMAL for each in found]
     assert sum(optimal) >= 98
-    assert np.mean([each.iterations for each in found]) <= 15.0
+    assert np.mean([each.iterations for each in found]) <= 25.0

@@ -47,9 +47,12 @@ template <class V> struct Bound {
 };
 // A row's two sides.
 template <class V> struct Bounds {
+  static constexpr bool PAIRED = true;
   Bound<V> high, low;
   V bend{}, right{};  // of both sides: bend (a . dx - right) is the change of the multiplier
 
+  Bound<V>& side(bool opposite) { return opposite ? low : high; }
+  const Bound<V>& side(bool opposite) const { return opposite ? low : high; }
   V multiplier() const { return high.counted() - low.counted(); }
   V change() const { return high.dmultiplier - low.dmultiplier; }
   void begin(const V& along, const V& floor, const V& product, const V& most) {
@@ -87,13 +90,39 @@ template <class V> struct Bounds {
   static constexpr double NO_BEND = 1e-300;  // where both sides are missing
 };
 
-// A row of one contact in each lane.
-template <class V, int D> struct OwnBounds : Bounds<V> {
+// A joint torque as a row, divided by its length: the cost is weight (a . x - bound)^2 / 2, and the
+// multiplier is its derivative at the optimum.
+template <class V> struct Torque {
+  static constexpr bool PAIRED = false;
+  V present{}, weight{}, per_weight{}, bound{}, multiplier{};
+  V bend{}, right{}, dmultiplier{};  // as in `Bounds`
+  V value{};                         // weight (a . x - bound)
+
+  Torque& side(bool) { return *this; }
+  const Torque& side(bool) const { return *this; }
+  void at(const V& along) {
+    bend = weight + NO_BEND;
+    value = weight * (along - bound);
+    right = (multiplier - value) / bend;
+  }
+  void forget() { multiplier = V{}; }
+  void take_rates() {}
+  void step(const V& left) { dmultiplier = bend * left; }
+  V change() const { return dmultiplier; }
+
+ private:
+  static constexpr double NO_BEND = 1e-300;
+};
+// A row of one contact in each lane, with the shares of T shared variables.
+template <class V, int D, int T, class Row> struct OwnRow : Row {
   Vec<V, D> a;
-  RowUpdate<V, D> update;
+  Tuple<V, T> share{};
+  RowUpdate<V, D, T> update;
   V left;
 };
-template <class V, int B, int D> using ConicLimits =
-    PackedRows<V, B, D, OwnBounds<V, D>, Bounds<double>>;
+template <class V, int B, int D, int T> using ConicLimits =
+    PackedRows<V, B, D, OwnRow<V, D, T, Bounds<V>>, Bounds<double>>;
+template <class V, int B, int D> using ConicTorques =
+    PackedRows<V, B, D, OwnRow<V, D, 0, Torque<V>>, Torque<double>>;
 
 }  // namespace grasp

@@ -11,9 +11,10 @@
 
 namespace grasp {
 
-template <class V, int B, int D = 3> class LimitedConic : public LimitedSteps<V, B, D> {
+template <class V, int B, int D = 3, Criterion C = Criterion::sum> class LimitedConic
+    : public LimitedSteps<V, B, D, C> {
  public:
-  using Steps = LimitedSteps<V, B, D>;
+  using Steps = LimitedSteps<V, B, D, C>;
   using Steps::cones, Steps::inside, Steps::limits;
   using typename Steps::Field;
   using typename Steps::X;
@@ -36,8 +37,8 @@ template <class V, int B, int D = 3> class LimitedConic : public LimitedSteps<V,
   }
 
   // Solve for a wrench. balanced: `inside` balances it. CONVERGED: the record and `multipliers`
-  // (one of each row) hold the optimum. INFEASIBLE: they hold the proof. Otherwise the record says
-  // nothing.
+  // (one of each row) hold the optimum. INFEASIBLE, of the sum alone: they hold the proof.
+  // Otherwise the record says nothing.
   Code solve(const double* wrench, bool balanced, const Record& record, double* multipliers) {
     if (!begin(wrench, balanced, 0.0, record)) return REFUSED;
     int iterations = 0;
@@ -103,19 +104,22 @@ template <class V, int B, int D = 3> class LimitedConic : public LimitedSteps<V,
   }
 
   // Descend from the start. If the gap is closed while limits are still exceeded, since shortened
-  // steps never kept them, settling steps follow.
+  // steps never kept them, settling steps follow. Only the sum proves that there is no force: its
+  // multipliers are the simplest.
   Code descend(const Record& record, int& iterations) {
+    constexpr double COST = Steps::OF_TORQUES ? 0.0 : 1.0;
     double goal = options.tolerance;
     int settled = 0;
     bool drops = false;
     for (;; ++iterations) {
       measure();
       bool settles = false;
-      if (cost_ == 0.0 && proves_infeasible()) return INFEASIBLE;
-      if (cost_ == 1.0 && gap_ <= goal * objective_) {
-        const double gap = certify(record);
+      if (C == Criterion::sum && cost_ == 0.0 && proves_infeasible()) return INFEASIBLE;
+      if (gap_ <= goal * objective_) {
+        const double gap = cost_ == COST ? certify(record) : infinity;
         if (gap <= options.tolerance) return CONVERGED;
-        if (!(gap < infinity) && missed_ <= KEPT) return STALLED;  // balance has lost its digits
+        // balance has lost its digits
+        if (cost_ == COST && !(gap < infinity) && missed_ <= KEPT) return STALLED;
         settles = !(gap < infinity) && settled++ < SETTLINGS;
         if (!settles) goal *= 0.1;
         if (!(gap_ > 0.0) || goal < 1e-3 * options.tolerance) return STALLED;
@@ -123,11 +127,11 @@ template <class V, int B, int D = 3> class LimitedConic : public LimitedSteps<V,
       if (iterations >= options.limit) return LIMIT;
       if (!factor()) return STALLED;
       drops = is_hopeless() && !drops;
+      if (drops && C != Criterion::sum) return UNDECIDED;
       const double aim = std::max(gap_, MIDDLE * options.tolerance * objective_);
       if (!(drops || settles ? settle(aim, drops ? cost_ : 0.0) : step())) return STALLED;
     }
   }
-
   bool is_hopeless() const { return missed_ > EXCEEDED && dual_value() > LIKELY * objective_; }
   // The same towards the point of the central path with this gap. If settling there does not lead
   // inside the limits, steps go on towards the optimum or the proof.
@@ -155,7 +159,7 @@ template <class V, int B, int D = 3> class LimitedConic : public LimitedSteps<V,
     Most outside(-infinity);
     for (int b = 0; b < blocks(); ++b) {
       x[b] = at_[b].x - cones.blocks[b].least(left_);
-      limits.each_own(b, [&](const auto& row) { outside.add(row.outside(dot(row.a, x[b]))); });
+      each_limit(b, [&](const auto& row) { outside.add(row.outside(dot(row.a, x[b]))); });
     }
     for (int j = 0; j < limits.joint_rows(); ++j)
       outside.add(limits.joints[j].outside(limits.along(j, [&](int b) { return x[b]; })));
@@ -163,12 +167,24 @@ template <class V, int B, int D = 3> class LimitedConic : public LimitedSteps<V,
     return outside.value() < 0.0 && cones.margin(x) > 0.0;
   }
 
-  // s from its equation, without the cost
+  // Call f(row) for the limits of the contacts in block b.
+  template <class F> void each_limit(int b, F&& f) const {
+    if constexpr (Steps::OF_LARGEST)
+      limits.each_given(b, f);
+    else
+      limits.each_own(b, f);
+  }
+  // s from its equation, without the cost and the rows of t
   X dual_slack(int b) const {
     X q = -cones.blocks[b].transposed(y_);
-    limits.each_own(b, [&](const auto& row) { q += row.multiplier() * row.a; });
+    each_limit(b, [&](const auto& row) { q += row.multiplier() * row.a; });
     for (int j = 0; j < limits.joint_rows(); ++j)
       q += all<V>(limits.joints[j].multiplier()) * limits.column(j, b);
+    if constexpr (Steps::OF_TORQUES) {
+      this->torques.each_own(b, [&](const auto& row) { q += row.multiplier * row.a; });
+      for (int j = 0; j < this->torques.joint_rows(); ++j)
+        q += all<V>(this->torques.joints[j].multiplier) * this->torques.column(j, b);
+    }
     return q;
   }
   // True if -y and the multipliers prove beyond rounding that no force keeps the limits: -G^T y +
@@ -193,24 +209,26 @@ template <class V, int B, int D = 3> class LimitedConic : public LimitedSteps<V,
     return least(room) > 0.0;
   }
 
-  // Write force and certificate. Return the gap; inf: the force is not within the limits.
+  // Write force and certificate. Return the gap; inf: the force is not within the limits, or the
+  // multipliers prove nothing.
   double certify(const Record& record) {
-    Most outside(0.0);
-    V per{}, objective{};
+    Most outside(0.0), most(0.0);
+    V objective{};
     for (int b = 0; b < blocks(); ++b) {
       const auto& c = cones.blocks[b];
       At& at = at_[b];
       at.d = at.x - c.least(left_);
-      limits.each_own(b, [&](const auto& row) { outside.add(row.outside(dot(row.a, at.d))); });
-      const X safe = axis<D>(c.cost);
-      const X toward = dual_slack(b);
-      const V beyond = c.mask * Boundary(safe).per(toward);
-      per = max(per, select(slack(safe + toward) >= 0.0, V{}, beyond));
+      each_limit(b, [&](const auto& row) { outside.add(row.outside(dot(row.a, at.d))); });
       objective += c.mask * c.cost * at.d.u;
+      if constexpr (Steps::OF_LARGEST) most.add(this->price(b, at.d));
       force_[b] = all<V>(unit_) * at.first;
     }
+    const auto force = [&](int b) -> const X& { return at_[b].d; };
     for (int j = 0; j < limits.joint_rows(); ++j)
-      outside.add(limits.joints[j].outside(limits.along(j, [&](int b) { return at_[b].d; })));
+      outside.add(limits.joints[j].outside(limits.along(j, force)));
+    const double value = Steps::OF_LARGEST   ? most.value()
+                         : Steps::OF_TORQUES ? std::sqrt(this->torque_square(force))
+                                             : sum(objective);
     cones.store_force(force_, record.initial_force());
     for (int b = 0; b < blocks(); ++b) force_[b] = at_[b].d;
     // in units of the wrench: squares of tiny forces would be zero
@@ -221,17 +239,63 @@ template <class V, int B, int D = 3> class LimitedConic : public LimitedSteps<V,
     for (auto& x : force_) x = all<V>(unit_) * x;
     cones.store_force(force_, record.force());
     cones.store_torsion(force_, record.torsion());
-    const double steepest = largest(per);
-    theta_ = steepest > 1.0 ? 1.0 / steepest : 1.0;
+    const double bound = lower_bound();
     Summary& out = record.summary();
     out.margin = unit_ * margin;
     out.residual = unit_ * residual;
-    out.objective = unit_ * sum(objective);
-    out.lower_bound = std::max(0.0, theta_ * unit_ * dual_value());
+    out.objective = unit_ * value;
+    out.lower_bound = std::max(0.0, unit_ * bound);
     out.multipliers = cones.unit.pull_back(theta_ * y_);
     const bool good =
         !(outside.value() > 0.0) && margin >= 0.0 && out.lower_bound > 0.0 && balanced;
     return good ? (out.objective - out.lower_bound) / out.lower_bound : infinity;
+  }
+  // Scale the multipliers by theta so that they bound the objective. Return the bound; -inf: they
+  // prove nothing.
+  double lower_bound() {
+    if constexpr (Steps::OF_LARGEST) return bound_of_largest();
+    if constexpr (Steps::OF_TORQUES) return bound_of_torques();
+    V per{};
+    for (int b = 0; b < blocks(); ++b) {
+      const auto& c = cones.blocks[b];
+      const X safe = axis<D>(c.cost);
+      const X toward = dual_slack(b);
+      const V beyond = c.mask * Boundary(safe).per(toward);
+      per = max(per, select(slack(safe + toward) >= 0.0, V{}, beyond));
+    }
+    theta_ = 1.0 / std::max(1.0, largest(per));
+    return theta_ * dual_value();
+  }
+  // The rows of t get the least multipliers that take the dual slacks into their cones. The shares
+  // of t add up to one: what is left goes to the largest preload.
+  double bound_of_largest()
+    requires(Steps::OF_LARGEST)
+  {
+    V shares{}, paid{}, preload{};
+    for (int b = 0; b < blocks(); ++b) {
+      const auto& c = cones.blocks[b];
+      const auto& side = limits.added(b).high;
+      const V needed = c.mask * max(V{}, -slack(dual_slack(b)));
+      shares += needed / c.cost;
+      paid += (needed - side.counted()) * side.bound;
+      preload = max(preload, -c.cost * side.bound);
+    }
+    const double share = sum(shares);
+    theta_ = 1.0 / std::max(1.0, share);
+    return theta_ * (dual_value() - sum(paid)) + (1.0 - theta_ * share) * largest(preload);
+  }
+  // The multipliers of the torques get length one.
+  double bound_of_torques()
+    requires(Steps::OF_TORQUES)
+  {
+    V room = all<V>(infinity);
+    for (int b = 0; b < blocks(); ++b)
+      room = min(room, select(cones.blocks[b].mask > 0.0, slack(dual_slack(b)), all<V>(infinity)));
+    Sum square;
+    this->torques.each_side(
+        [&](const auto& side) { square.add(side.multiplier * side.multiplier * side.per_weight); });
+    theta_ = 1.0 / std::sqrt(square.value());
+    return least(room) >= 0.0 && theta_ < infinity ? theta_ * dual_value() : -infinity;
   }
 };
 

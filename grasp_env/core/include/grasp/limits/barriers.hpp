@@ -29,8 +29,11 @@ template <class V> struct Barrier {
 };
 // The two sides of a row.
 template <class V> struct Barriers2 {
+  static constexpr bool PAIRED = true;
   Barrier<V> high, low;
 
+  Barrier<V>& side(bool opposite) { return opposite ? low : high; }
+  const Barrier<V>& side(bool opposite) const { return opposite ? low : high; }
   V multiplier() const { return high.multiplier - low.multiplier; }
   V bend() const { return high.bend() + low.bend(); }
   void at(const V& along) {

@@ -54,6 +54,16 @@ struct ForceLimits {
       }
     }
   }
+  // Call f(row, bias) for the torque of each joint, row . f + bias, as `rows` with width 4.
+  template <class F>
+  void torques(int count, std::span<double> row, F&& f, const Preload& preload) const {
+    const int joints = int(torque_limit.size());
+    for (int j = 0; j < joints; ++j) {
+      for (int k = 0; k < 4 * count; ++k) row[k] = jacobian[joints * k + j];
+      f(row, (torque_bias.empty() ? 0.0 : torque_bias[j]) +
+                 preload.cost(count, [&](int i) { return row[4 * i]; }));
+    }
+  }
 
  private:
   static bool limits_normal(double limit) { return limit > 0.0 && limit < infinity; }

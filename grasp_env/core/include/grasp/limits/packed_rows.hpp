@@ -6,9 +6,9 @@
 
 namespace grasp {
 
-// Own: a row of one contact in each lane, with the vector `a` and the sides `high` and `low`.
-// Joint: a row of several contacts, with the two sides. A side has `bound`, `multiplier`, and
-// `present`: 0 where there is none.
+// Own: a row of one contact in each lane, with the vector `a`. Joint: a row of several contacts.
+// Both have `side(false)`, and `side(true)` for the opposite row if they are PAIRED. A side has
+// `bound`, `multiplier`, and `present`: 0 where there is none.
 template <class V, int B, int D, class Own, class Joint> class PackedRows {
  public:
   static constexpr int W = width<V>;
@@ -23,30 +23,37 @@ template <class V, int B, int D, class Own, class Joint> class PackedRows {
     joints.reserve(rows);
     columns_.reserve(std::size_t(rows) * blocks);
     places_.reserve(rows);
-    row_.reserve(4 * W * blocks);
+    for (auto* numbers : {&row_, &turned_, &per_divisor_, &lambda_})
+      numbers->reserve(4 * W * blocks);
     counts_.reserve(W * blocks);
   }
 
   // Take over the limits of the contacts in `cones`, with a Jacobian (N, 4, J) in contact frames.
   // Return false if numbers are too large.
   bool pack(const Cones<V, B, D>& cones, const ForceLimits& limits, const Preload& preload) {
-    const int count = cones.count;
-    blocks_ = int(cones.blocks.size());
-    counts_.assign(W * blocks_, 0);
-    row_.resize(4 * count);
-    places_.clear();
-    joints.clear();
-    columns_.clear();
-    own_.clear();
-    sides = per_contact_ = 0;
+    clear(cones);
     bool good = true;
     limits.rows(
-        count, 4, row_,
-        [&](std::span<const double> row, double bound, double) {
-          good = good && add(cones, row, bound);
-        },
+        cones.count, 4, row_,
+        [&](std::span<const double> row, double bound, double) { good = good && add(row, bound); },
         preload);
     return good;
+  }
+  // Take over the joint torques: rows a . x - bound, of all joints.
+  bool pack_torques(const Cones<V, B, D>& cones, const ForceLimits& limits,
+                    const Preload& preload) {
+    clear(cones);
+    bool good = true;
+    limits.torques(
+        cones.count, row_,
+        [&](std::span<const double> row, double bias) { good = good && add(row, -bias); }, preload);
+    return good;
+  }
+  // Add a row of every contact. f(b): that of block b.
+  template <class F> void add_each(int count, F&& f) {
+    for (int b = 0; b < blocks_; ++b) own_.push_back(f(b));
+    ++per_contact_;
+    sides += count;
   }
   int joint_rows() const { return int(joints.size()); }
   // Coefficients of a joint row at block b.
@@ -78,6 +85,13 @@ template <class V, int B, int D, class Own, class Joint> class PackedRows {
     sides_of(own_, f);
     sides_of(joints, f);
   }
+  // The same without the row that `add_each` added last.
+  template <class F> void each_given(int b, F&& f) const {
+    for (int k = 0; k + 1 < per_contact_; ++k) f(own_[std::size_t(blocks_) * k + b]);
+  }
+  // Row of block b that `add_each` added last.
+  const Own& added(int b) const { return own_[std::size_t(blocks_) * (per_contact_ - 1) + b]; }
+  Own& added(int b) { return own_[std::size_t(blocks_) * (per_contact_ - 1) + b]; }
   // Smallest bound.
   double least_bound() const {
     double out = infinity;
@@ -94,6 +108,10 @@ template <class V, int B, int D, class Own, class Joint> class PackedRows {
   void weigh() {
     for (const Place& p : places_) at(p, [&](auto& side, int n) { set(side.weight, n, p.weight); });
   }
+  // Call f(side, lane, size) for every row as it was given: `size` is its length.
+  template <class F> void each_place(F&& f) {
+    for (const Place& p : places_) at(p, [&](auto& side, int n) { f(side, n, p.size); });
+  }
   // Write the multipliers of the rows as they were given, each times k.
   void store(double k, double* to) const {
     for (const Place& p : places_)
@@ -105,79 +123,103 @@ template <class V, int B, int D, class Own, class Joint> class PackedRows {
   static constexpr double MOST_FORCE = 1e20;  // [N]
   // Where a row stands: at a contact, or in `joints` (contact -1).
   struct Place {
-    int contact, at;
-    bool low;
-    double size, bound, weight;  // divisor of the row, its bound [N], lambda of its term of Phi
+    int contact = 0, at = 0;
+    bool low = false;
+    double size = 1.0, bound = 0.0,
+           weight = 0.0;  // divisor of the row, its bound [N], lambda of its term of Phi
   };
   int blocks_ = 0, per_contact_ = 0;
+  double mean_lambda_ = 0.0;
   std::vector<Own> own_;    // (rows of a contact, blocks)
   std::vector<X> columns_;  // (joint rows, blocks)
   std::vector<Place> places_;
-  std::vector<double> row_;
-  std::vector<int> counts_;  // rows of each contact
+  std::vector<double> row_, turned_;          // (N, 4) a row, and the same in cone coordinates
+  std::vector<double> per_divisor_, lambda_;  // (N, 4) and (N,) of the contacts
+  std::vector<int> counts_;                   // rows of each contact
 
   template <class Rows, class F> static void sides_of(Rows& rows, F& f) {
     for (auto& row : rows) {
-      f(row.high);
-      f(row.low);
+      f(row.side(false));
+      if constexpr (std::decay_t<decltype(row)>::PAIRED) f(row.side(true));
     }
+  }
+  void clear(const Cones<V, B, D>& cones) {
+    blocks_ = int(cones.blocks.size());
+    counts_.assign(W * blocks_, 0);
+    for (auto* numbers : {&row_, &turned_, &per_divisor_}) numbers->assign(4 * cones.count, 0.0);
+    lambda_.resize(cones.count);
+    mean_lambda_ = 0.0;
+    for (int i = 0; i < cones.count; ++i) {
+      const auto& c = cones.blocks[i / W];
+      for (int a = 0; a < D; ++a) per_divisor_[4 * i + a] = 1.0 / get(c.divisor[a], i % W);
+      lambda_[i] = get(c.weights.lambda, i % W);
+      mean_lambda_ += lambda_[i] / cones.count;
+    }
+    places_.clear();
+    joints.clear();
+    columns_.clear();
+    own_.clear();
+    sides = per_contact_ = 0;
   }
   template <class F> void at(const Place& p, F&& f) { find(*this, p, f); }
   template <class F> void at(const Place& p, F&& f) const { find(*this, p, f); }
   template <class Self, class F> static void find(Self& self, const Place& p, F& f) {
     if (p.contact < 0) {
-      auto& row = self.joints[p.at];
-      f(p.low ? row.low : row.high, 0);
+      f(self.joints[p.at].side(p.low), 0);
     } else {
-      auto& row = self.own_[std::size_t(self.blocks_) * p.at + p.contact / W];
-      f(p.low ? row.low : row.high, p.contact % W);
+      f(self.own_[std::size_t(self.blocks_) * p.at + p.contact / W].side(p.low), p.contact % W);
     }
   }
 
-  bool add(const Cones<V, B, D>& cones, std::span<const double> row, double bound) {
-    int owner = -1, touched = 0;
-    double square = 0.0, weight = 0.0, weights = 0.0;
-    for (int i = 0; i < cones.count; ++i) {
-      const double lambda = get(cones.blocks[i / W].weights.lambda, i % W);
-      weights += lambda;
+  // row: (N, 4)
+  bool add(std::span<const double> row, double bound) {
+    const int count = int(lambda_.size());
+    int owner = 0, touched = 0;
+    double square = 0.0, weight = 0.0;
+    for (int i = 0; i < count; ++i) {
       double part = 0.0;
-      for (int a = 0; a < D; ++a) {
-        const double value = row[4 * i + a] / get(cones.blocks[i / W].divisor[a], i % W);
-        part += value * value;
+      for (int k = 4 * i; k < 4 * i + D; ++k) {
+        turned_[k] = row[k] * per_divisor_[k];
+        part += turned_[k] * turned_[k];
       }
       square += part;
       if (!(part > 0.0)) continue;
       owner = i;
-      weight += lambda;
+      weight += lambda_[i];
       ++touched;
     }
-    weight = touched ? weight / touched : weights / cones.count;
+    weight = touched ? weight / touched : mean_lambda_;
     const double size = square > 0.0 ? std::sqrt(square) : 1.0;
-    bound /= size;
+    const double per = 1.0 / size;
+    bound *= per;
     if (!(size < infinity && std::abs(bound) <= MOST_FORCE)) return false;
+    for (double& value : turned_) value *= per;
     ++sides;
+    Place& place = places_.emplace_back();
+    place.size = size;
+    place.bound = bound;
+    place.weight = weight;
+    place.contact = touched > 1 ? -1 : owner;
     if (touched > 1)
-      add_joint(cones, row, {-1, joint_rows(), false, size, bound, weight});
+      add_joint(place);
     else
-      add_own(cones, row, {std::max(owner, 0), 0, false, size, bound, weight});
+      add_own(place);
+    at(place, [](auto& side, int n) { set(side.present, n, 1.0); });
     return true;
   }
-  void add_own(const Cones<V, B, D>& cones, std::span<const double> row, Place place) {
+  void add_own(Place& place) {
     const int b = place.contact / W;
     const int n = place.contact % W;
-    Vec<double, D> a;
+    const double* a = &turned_[4 * place.contact];
     double most = 0.0;
-    for (int k = 0; k < D; ++k) {
-      a[k] = row[4 * place.contact + k] / (place.size * get(cones.blocks[b].divisor[k], n));
-      most = std::max(most, std::abs(a[k]));
-    }
+    for (int k = 0; k < D; ++k) most = std::max(most, std::abs(a[k]));
     const int many = counts_[place.contact];
-    for (place.at = 0; place.at < many && most > 0.0; ++place.at) {
-      const Own& other = own_[std::size_t(blocks_) * place.at + b];
+    for (place.at = 0; place.at < many && most > 0.0 && Own::PAIRED; ++place.at) {
+      Own& other = own_[std::size_t(blocks_) * place.at + b];
       double off = 0.0;
       for (int r = 0; r < D; ++r) off = std::max(off, std::abs(get(other.a[r], n) + a[r]));
-      place.low = off <= PARALLEL && !(get(other.low.present, n) > 0.0);
-      if (place.low) return enter(place);
+      place.low = off <= PARALLEL && !(get(other.side(true).present, n) > 0.0);
+      if (place.low) return;
     }
     place.at = counts_[place.contact]++;
     if (place.at == per_contact_) {
@@ -186,32 +228,26 @@ template <class V, int B, int D, class Own, class Joint> class PackedRows {
     }
     Own& own = own_[std::size_t(blocks_) * place.at + b];
     for (int r = 0; r < D; ++r) set(own.a[r], n, a[r]);
-    enter(place);
   }
-  void add_joint(const Cones<V, B, D>& cones, std::span<const double> row, Place place) {
-    const auto entry = [&](int i, int a) {
-      return row[4 * i + a] / (place.size * get(cones.blocks[i / W].divisor[a], i % W));
-    };
-    const int last = place.at - 1;
-    place.low = last >= 0 && !(joints[last].low.present > 0.0);
-    for (int i = 0; i < cones.count && place.low; ++i)
-      for (int a = 0; a < D; ++a)
-        place.low =
-            place.low && std::abs(get(column(last, i / W)[a], i % W) + entry(i, a)) <= PARALLEL;
+  void add_joint(Place& place) {
+    const int count = int(lambda_.size());
+    const int last = joint_rows() - 1;
+    place.at = last + 1;
+    place.low = Joint::PAIRED && last >= 0 && !(joints[last].side(true).present > 0.0);
+    for (int i = 0; i < count && place.low; ++i)
+      for (int a = 0; a < D; ++a) {
+        const double off = get(column(last, i / W)[a], i % W) + turned_[4 * i + a];
+        place.low = place.low && std::abs(off) <= PARALLEL;
+      }
     if (place.low) {
       place.at = last;
-      return enter(place);
+      return;
     }
     joints.push_back({});
     columns_.resize(std::size_t(blocks_) * joints.size(), X{});
-    for (int i = 0; i < cones.count; ++i)
+    for (int i = 0; i < count; ++i)
       for (int a = 0; a < D; ++a)
-        set(columns_[std::size_t(blocks_) * place.at + i / W][a], i % W, entry(i, a));
-    enter(place);
-  }
-  void enter(const Place& place) {
-    at(place, [](auto& side, int n) { set(side.present, n, 1.0); });
-    places_.push_back(place);
+        set(columns_[std::size_t(blocks_) * place.at + i / W][a], i % W, turned_[4 * i + a]);
   }
 };
 

@@ -1,11 +1,12 @@
-// Symmetric positive definite systems of six equations with a border of any size.
+// Symmetric systems of six equations with a border of any size.
 #pragma once
 #include <vector>
 #include <grasp/math/linear6.hpp>
 
 namespace grasp {
 
-// L D L^T of a matrix whose first six rows are a `Packed6`.
+// L D L^T of a matrix whose first six rows are a `Packed6`. It is positive definite, but for the
+// last rows, whose pivots are `negative`.
 class Bordered {
  public:
   // Make `resize` free of allocations up to this border.
@@ -13,8 +14,9 @@ class Bordered {
     l_.reserve(packed(6 + border, 0));
     right_.reserve(6 + border);
   }
-  void resize(int border) {
+  void resize(int border, int negative = 0) {
     size_ = 6 + border;
+    positive_ = size_ - negative;
     l_.assign(std::size_t(packed(size_, 0)), 0.0);
     right_.resize(size_);
   }
@@ -23,7 +25,7 @@ class Bordered {
   // The right-hand side, then the solution.
   double& operator[](int r) { return right_[r]; }
 
-  // Return false if the matrix is not positive definite in floating point.
+  // Return false if a pivot has another sign in floating point.
   bool factor(const Packed6& corner) {
     if (!(first_.factor(corner) > 0.0)) return false;
     bool good = true;
@@ -41,7 +43,7 @@ class Bordered {
         pivot -= row[r] * scaled;
         row[r] = scaled;
       }
-      good = good && pivot > 0.0;
+      good = good && (j < positive_ ? pivot > 0.0 : pivot < 0.0);
       row[j] = 1.0 / pivot;
     }
     return good;
@@ -63,7 +65,7 @@ class Bordered {
   }
 
  private:
-  int size_ = 6;
+  int size_ = 6, positive_ = 6;
   Ldl6 first_;
   std::vector<double> l_;  // packed, rows from 6 on
   std::vector<double> right_ = std::vector<double>(6);

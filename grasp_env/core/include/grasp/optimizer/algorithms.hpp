@@ -288,11 +288,17 @@ template <class V, int B> class Algorithms {
       if (interior == INFEASIBLE && !soft) return write_proof();
       if (interior != CONVERGED) return general();
     }
-    const Code code = on_.solve_limited_conic(
-        call_.wrench.data(), closed ? on_.internal_force() : on_.newton.x, !closed);
-    if (code == CONVERGED || (code == INFEASIBLE && !on_.options.elastic)) return code;
-    const bool hard = on_.placement.kind == ProblemKind::hard;
-    if (hard && code != REFUSED &&
+    const auto solve = [&](Criterion criterion) {
+      return on_.solve_limited_conic(criterion, call_.wrench.data(),
+                                     closed ? on_.internal_force() : on_.newton.x, !closed);
+    };
+    const Criterion criterion = on_.options.criterion;
+    Code code = solve(criterion);
+    if (code == CONVERGED) return code;
+    if (criterion != Criterion::sum) code = solve(Criterion::sum) == INFEASIBLE ? INFEASIBLE : code;
+    if (code == INFEASIBLE && !on_.options.elastic) return code;
+    const bool plain = on_.placement.kind == ProblemKind::hard && criterion == Criterion::sum;
+    if (plain && code != REFUSED &&
         on_.finish_conic(call_.wrench.data(), call_.stop.limit) == CONVERGED)
       return CONVERGED;
     return general();

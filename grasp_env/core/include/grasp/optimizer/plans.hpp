@@ -39,8 +39,8 @@ inline constexpr Plan PLANS[] = {
 inline std::optional<Algorithm> algorithm_for(const Options& options, ProblemKind kind) {
   for (const Plan& plan : PLANS)
     if (plan.method == options.method && plan.kind == kind)
-      return plan.method == Method::conic && options.criterion != Criterion::sum
-                 ? Algorithm::general
+      return plan.algorithm == Algorithm::conic && options.criterion != Criterion::sum
+                 ? Algorithm::limited_conic
                  : plan.algorithm;
   return {};
 }

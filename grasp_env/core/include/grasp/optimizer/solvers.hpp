@@ -47,6 +47,25 @@ struct StoredAnswer {
   std::vector<double> row, multipliers;
 };
 
+// The exact solvers of a criterion. One of them is there.
+template <class V, int B, Criterion C> struct Exact {
+  std::optional<LimitedConic<V, B, 3, C>> hard;
+  std::optional<LimitedConic<V, B, 4, C>> soft;
+  PerPlacement<bool> placed;
+
+  explicit operator bool() const { return hard || soft; }
+  void make(bool is_soft, int count, const StopRule& stop) {
+    if (is_soft)
+      soft.emplace(count, stop);
+    else
+      hard.emplace(count, stop);
+  }
+  void reserve(int rows, int joints) {
+    if (hard) hard->reserve(rows, joints);
+    if (soft) soft->reserve(rows, joints);
+  }
+};
+
 template <class V, int B> class Solvers {
  public:
   using Field = typename Cones<V, B>::Field;
@@ -94,8 +113,9 @@ template <class V, int B> class Solvers {
     if (is_soft && !conic) soft.emplace(count());
     if (has_limits && !conic && is_soft) soft_limited.emplace(count());
     if (has_limits && !conic && !is_soft) limited.emplace(count());
-    if ((has_limits || conic) && is_soft) soft_conic_.emplace(count(), stop);
-    if ((has_limits || conic) && !is_soft) limited_conic_.emplace(count(), stop);
+    if (has_limits || conic) sum_.make(is_soft, count(), stop);
+    if (options.criterion == Criterion::largest) largest_.make(is_soft, count(), stop);
+    if (options.criterion == Criterion::torque) torque_.make(is_soft, count(), stop);
     current.tabulates = options.elastic && !conic && !is_soft;
     if (current.tabulates) excess.emplace(newton.cones);
     place_home();
@@ -126,8 +146,9 @@ template <class V, int B> class Solvers {
     if (soft_limited) soft_limited->reserve(current.limits.rows);
     if (excess)
       excess->rows.reserve(newton.cones, std::min(current.limits.rows, LimitTable::MOST_ROWS));
-    if (limited_conic_) limited_conic_->reserve(current.limits.rows);
-    if (soft_conic_) soft_conic_->reserve(current.limits.rows);
+    sum_.reserve(current.limits.rows, current.joints);
+    largest_.reserve(current.limits.rows, current.joints);
+    torque_.reserve(current.limits.rows, current.joints);
     home_depth_ = 0.0;
     const bool uses_it = options.method == Method::newton || options.method == Method::conic;
     if (place({}) == CONVERGED && uses_it && is_full_rank() && has_internal_force()) {
@@ -169,26 +190,33 @@ template <class V, int B> class Solvers {
   // Solve the exact problem with limits, soft contacts or without force closure from `inside`,
   // which is strictly inside the cones: a balanced force, or an internal one. REFUSED: numbers are
   // too large.
-  Code solve_limited_conic(const double* wrench, const Field& inside, bool balanced) {
-    return soft_conic_ ? solve_limited_conic(*soft_conic_, wrench, inside, balanced)
-                       : solve_limited_conic(*limited_conic_, wrench, inside, balanced);
+  Code solve_limited_conic(Criterion criterion, const double* wrench, const Field& inside,
+                           bool balanced) {
+    switch (criterion) {
+      case Criterion::largest:
+        return solve_limited_conic(largest_, wrench, inside, balanced);
+      case Criterion::torque:
+        return solve_limited_conic(torque_, wrench, inside, balanced);
+      default:
+        return solve_limited_conic(sum_, wrench, inside, balanced);
+    }
   }
   // Find a force strictly inside cones and limits, near the optimum of Phi, into x.
   template <int D> Code find_inside_limits(const CallState& call, const Field& inside,
                                            bool balanced, typename Cones<V, B, D>::Field& x) {
-    auto& solver = *[&] {
+    auto& solver = [&]() -> auto& {
       if constexpr (D == 3)
-        return &limited_conic_;
+        return *sum_.hard;
       else
-        return &soft_conic_;
+        return *sum_.soft;
     }();
-    if (!place_conic(*solver, inside)) return REFUSED;
-    solver->options.limit = std::min(call.stop.limit, LIMITED_ITERATIONS);
+    if (!place_conic(sum_, solver, inside)) return REFUSED;
+    solver.options.limit = std::min(call.stop.limit, LIMITED_ITERATIONS);
     double product = 0.0;
     for (int i = 0; i < current.now.count; ++i)
       product += std::sqrt(current.now.lambda[i] * squeezing_cost(current.now.omega[i]));
-    return solver->centre(call.wrench.data(), balanced, ABOVE * product / current.now.count, x,
-                          record(), answer.multipliers.data());
+    return solver.centre(call.wrench.data(), balanced, ABOVE * product / current.now.count, x,
+                         record(), answer.multipliers.data());
   }
   // Go on without limits from its last iterate, with more digits. Spoils the internal force.
   Code finish_conic(const double* wrench, int limit) {
@@ -196,7 +224,7 @@ template <class V, int B> class Solvers {
     if (before >= limit) return LIMIT;
     ConicSolver<V, B>& solver = conic();
     internal_force_.at(placement, [] { return false; }) = false;
-    limited_conic_->store_iterate(solver);
+    sum_.hard->store_iterate(solver);
     const int most = std::exchange(solver.options.limit, limit - int(before));
     const Code code = solver.solve_from_iterate(wrench, record());
     solver.options.limit = most;
@@ -251,9 +279,10 @@ template <class V, int B> class Solvers {
   ConicSolver<V, B> conic_;
   std::optional<FlowSolver<V, B>> flow_;
   General general_;
-  std::optional<LimitedConic<V, B>> limited_conic_;
-  std::optional<LimitedConic<V, B, 4>> soft_conic_;
-  PerPlacement<bool> conic_placed_, limited_conic_placed_, flow_placed_, general_placed_;
+  Exact<V, B, Criterion::sum> sum_;  // also for proofs, and for starts within limits
+  Exact<V, B, Criterion::largest> largest_;
+  Exact<V, B, Criterion::torque> torque_;
+  PerPlacement<bool> conic_placed_, flow_placed_, general_placed_;
   PerPlacement<bool> internal_force_;
   // Internal force of the problem's contacts and its depth; 0: none is known.
   Field home_rest_;
@@ -322,20 +351,25 @@ template <class V, int B> class Solvers {
     if (soft_limited) clear(soft_limited->newton.x);
   }
 
-  template <int D> Code solve_limited_conic(LimitedConic<V, B, D>& solver, const double* wrench,
-                                            const Field& inside, bool balanced) {
-    if (!place_conic(solver, inside)) return REFUSED;
-    return solver.solve(wrench, balanced, record(), answer.multipliers.data());
+  template <Criterion C> Code solve_limited_conic(Exact<V, B, C>& exact, const double* wrench,
+                                                  const Field& inside, bool balanced) {
+    const auto solve = [&](auto& solver) {
+      return place_conic(exact, solver, inside)
+                 ? solver.solve(wrench, balanced, record(), answer.multipliers.data())
+                 : REFUSED;
+    };
+    return exact.hard ? solve(*exact.hard) : solve(*exact.soft);
   }
-  // Place the exact solver, with an `inside`. Return false if numbers are too large.
-  template <int D> bool place_conic(LimitedConic<V, B, D>& solver, const Field& inside) {
+  // Place an exact solver, with an `inside`. Return false if numbers are too large.
+  template <Criterion C, class Solver>
+  bool place_conic(Exact<V, B, C>& exact, Solver& solver, const Field& inside) {
     const auto place = [&] {
       pack(solver.cones);
       if (options.method == Method::newton)
         for (auto& c : solver.cones.blocks) c.cost = squeezing_cost(c.weights.omega);
-      return solver.limits.pack(solver.cones, current.limits_in_place(), current.preload);
+      return solver.pack(current.limits_in_place(), current.preload);
     };
-    if (!limited_conic_placed_.at(placement, place)) return false;
+    if (!exact.placed.at(placement, place)) return false;
     for (std::size_t b = 0; b < solver.inside.size(); ++b)
       for (int a = 0; a < 3; ++a) solver.inside[b][a] = inside[b][a];
     return true;
