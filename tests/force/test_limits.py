@@ -9,7 +9,7 @@ from force.generators import closed, finger_limits
 from force.named import attempt
 from problems import random_grasp
 
-from grasp_env.force import ForceLimits, ForceOptimizer, Status, joint_torques
+from grasp_env.force import ForceLimits, ForceOptimizer, Objective, Status, joint_torques
 from grasp_env.grasp import Grasp, presets
 from grasp_env.quality import feasibility
 
@@ -110,3 +110,16 @@ def test_the_general_program_agrees(seed):
         ):
             np.testing.assert_allclose(one, other, atol=1e-3 * np.abs(other).max())
     assert optimal > 1
+
+
+def test_a_limit_weighs_as_its_contact_with_friction_or_without():
+    """A row of length l in cone coordinates has the multiplier lambda l / slack^2."""
+    models = ["frictionless", "hard", "hard", "hard"]
+    hard = presets.paper_cuboid()
+    grasp = Grasp.from_contacts(hard.positions, hard.normals, hard.friction, contact_model=models)
+    wrench = np.array([0.0, 0.0, -0.5, 0.0, 0.0, 0.0])
+    solution = ForceOptimizer(grasp, limits=ForceLimits(max_normal=1.5)).solve(wrench)
+    slack = 1.5 - solution.force[:, 0]
+    length = 1.0 / np.where(np.array(models) == "hard", hard.friction, 1.0)
+    barrier = Objective().barrier_weight
+    np.testing.assert_allclose(solution.limit_multipliers, barrier * length / slack**2, rtol=1e-9)

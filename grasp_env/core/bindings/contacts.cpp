@@ -159,6 +159,11 @@ template <std::vector<double> Contacts::* matrix> ReadOnly columns(nb::handle se
   return view(self, (of(self).*matrix).data(), {6, std::size_t(3 * of(self).count)});
 }
 
+ReadOnly cone_matrix(const Contacts& c) {
+  std::vector<double> matrix = c.matrix;
+  for (std::size_t k = 0; k < matrix.size(); ++k) matrix[k] /= c.divisor[k % (3 * c.count)];
+  return array_of(std::move(matrix), {6, std::size_t(3 * c.count)});
+}
 ReadOnly torsion_matrix(const Contacts& c) {
   const std::size_t n = c.count;
   std::vector<double> matrix(6 * n);
@@ -255,7 +260,7 @@ void bind_contacts(nb::module_& m) {
           "(N, 3) given tangents, or (0, 3) for the default rule.")
       .def_prop_ro("frames", &rows<&Contacts::frames, 3, 3>)
       .def_prop_ro("matrix", &columns<&Contacts::matrix>)
-      .def_prop_ro("cone_matrix", &columns<&Contacts::cone_matrix>)
+      .def_prop_ro("cone_matrix", &cone_matrix, nb::rv_policy::automatic)
       .def_prop_ro("torsion_matrix", &torsion_matrix, nb::rv_policy::automatic)
       .def_prop_ro("unit_frame", &unit_frame, nb::rv_policy::automatic);
 }

@@ -34,7 +34,6 @@ nb::dict arrays_of(const Placement& p) {
   out["frames"] = array(c.frames, {count, 3, 3});
   out["divisor"] = array(c.divisor, {count, 3});
   out["matrix"] = array(c.matrix, {6, size});
-  out["cone_matrix"] = array(c.cone_matrix, {6, size});
   out["rows"] = array(c.rows, {6, size});
   out["inverse"] = array(c.inverse, {size, 6});
   out["orthonormal"] = array(orthonormal, {6, size});

@@ -3,6 +3,7 @@
 #pragma once
 #include <span>
 #include <stdexcept>
+#include <utility>
 #include <grasp/contacts/geometry.hpp>
 #include <grasp/math/jacobi_rotations.hpp>
 
@@ -79,8 +80,7 @@ class Contacts {
   std::vector<double> positions, normals;  // (N, 3) as placed
   std::vector<double> frames;              // (N, 3, 3) columns (n, o, t), object frame
   std::vector<double> matrix;              // (6, 3N) G
-  std::vector<double> cone_matrix;         // (6, 3N) G in cone coordinates
-  std::vector<double> rows;                // (6, 3N) the same in the unit frame
+  std::vector<double> rows;                // (6, 3N) G in cone coordinates, unit frame
   // (6, 3N) G for forces, unit frame; zero where nothing is transmitted
   std::vector<double> force_rows;
   // (3N, 6) G^+ in cone coordinates, unit frame: the least-norm change of force
@@ -152,11 +152,13 @@ class Contacts {
   }
 
   // Replace the friction, as for the constructor, from the next `place` on. chosen: indices of
-  // these contacts if `friction` covers more; frictionless ones then stay so.
-  void set_friction(std::span<const double> friction, std::span<const int> chosen = {},
+  // these contacts if `friction` covers more; frictionless ones then stay so. Return true if
+  // it differs.
+  bool set_friction(std::span<const double> friction, std::span<const int> chosen = {},
                     int of = 0) {
     const std::size_t numbers = friction.size();
     const std::size_t all = chosen.empty() ? count : of;
+    bool changed = false;
     for (int k = 0; k < count; ++k) {
       const std::size_t i = chosen.empty() ? k : chosen[k];
       if (!chosen.empty() && scale[3 * k + 1] == 0.0) continue;
@@ -164,9 +166,10 @@ class Contacts {
       const double mu_o = friction[two ? 2 * i : numbers == 1 ? 0 : i];
       const double mu_t = two ? friction[2 * i + 1] : mu_o;
       const Point one = cone_scale(mu_o, mu_t);
-      for (int a = 0; a < 3; ++a) scale[3 * k + a] = one[a];
+      for (int a = 0; a < 3; ++a) changed |= std::exchange(scale[3 * k + a], one[a]) != one[a];
     }
-    update_divisors();
+    if (changed) update_divisors();
+    return changed;
   }
 
   // Multiply friction and torsional friction by a share, from the next `place` on.
@@ -253,7 +256,6 @@ class Contacts {
         add_gram(s, row);
         for (int r = 0; r < 3; ++r) frames[9 * i + 3 * r + a] = column[r];
         set_column(matrix.data(), size, j, column);
-        set_column(cone_matrix.data(), size, j, per_[j] * column);
         set_column(force_rows.data(), size, j, row);
         set_column(rows.data(), size, j, per_[j] * row);
       }
@@ -311,7 +313,7 @@ class Contacts {
     for (auto* one : {&omega, &lambda, &torsion}) one->resize(n);
     for (auto* three : {&scale, &divisor, &used_, &per_, &positions, &normals})
       three->resize(3 * n);
-    for (auto* many : {&matrix, &cone_matrix, &rows, &force_rows, &inverse}) many->resize(18 * n);
+    for (auto* many : {&matrix, &rows, &force_rows, &inverse}) many->resize(18 * n);
     frames.resize(9 * n);
     work_.resize(24 * n);
   }

@@ -65,8 +65,10 @@ template <class V, int B, int D = 3> class Barriers
   using Field = typename Cones<V, B, D>::Field;
   static constexpr bool has_terms = true;
 
-  bool pack(const Cones<V, B, D>& cones, const ForceLimits& limits, const Preload& preload) {
-    if (!Rows::pack(cones, limits, preload)) return false;
+  // lambda: (N,) weights of Phi
+  bool pack(const Cones<V, B, D>& cones, const ForceLimits& limits, const Preload& preload,
+            std::span<const double> lambda) {
+    if (!Rows::pack(cones, limits, preload, lambda)) return false;
     this->scale(1.0);
     this->weigh();
     return true;

@@ -29,9 +29,11 @@ template <class V, int B, int D, class Own, class Joint> class PackedRows {
   }
 
   // Take over the limits of the contacts in `cones`, with a Jacobian (N, 4, J) in contact frames.
-  // Return false if numbers are too large.
-  bool pack(const Cones<V, B, D>& cones, const ForceLimits& limits, const Preload& preload) {
+  // lambda: (N,) weights of Phi, for `weigh`. Return false if numbers are too large.
+  bool pack(const Cones<V, B, D>& cones, const ForceLimits& limits, const Preload& preload,
+            std::span<const double> lambda = {}) {
     clear(cones);
+    std::ranges::copy(lambda, lambda_.begin());
     bool good = true;
     limits.rows(
         cones.count, 4, row_,
@@ -129,7 +131,6 @@ template <class V, int B, int D, class Own, class Joint> class PackedRows {
            weight = 0.0;  // divisor of the row, its bound [N], lambda of its term of Phi
   };
   int blocks_ = 0, per_contact_ = 0;
-  double mean_lambda_ = 0.0;
   std::vector<Own> own_;    // (rows of a contact, blocks)
   std::vector<X> columns_;  // (joint rows, blocks)
   std::vector<Place> places_;
@@ -147,13 +148,10 @@ template <class V, int B, int D, class Own, class Joint> class PackedRows {
     blocks_ = int(cones.blocks.size());
     counts_.assign(W * blocks_, 0);
     for (auto* numbers : {&row_, &turned_, &per_divisor_}) numbers->assign(4 * cones.count, 0.0);
-    lambda_.resize(cones.count);
-    mean_lambda_ = 0.0;
+    lambda_.assign(cones.count, 1.0);
     for (int i = 0; i < cones.count; ++i) {
       const auto& c = cones.blocks[i / W];
       for (int a = 0; a < D; ++a) per_divisor_[4 * i + a] = 1.0 / get(c.divisor[a], i % W);
-      lambda_[i] = get(c.weights.lambda, i % W);
-      mean_lambda_ += lambda_[i] / cones.count;
     }
     places_.clear();
     joints.clear();
@@ -175,7 +173,7 @@ template <class V, int B, int D, class Own, class Joint> class PackedRows {
   bool add(std::span<const double> row, double bound) {
     const int count = int(lambda_.size());
     int owner = 0, touched = 0;
-    double square = 0.0, weight = 0.0;
+    double square = 0.0, weight = 0.0, weights = 0.0;
     for (int i = 0; i < count; ++i) {
       double part = 0.0;
       for (int k = 4 * i; k < 4 * i + D; ++k) {
@@ -183,12 +181,13 @@ template <class V, int B, int D, class Own, class Joint> class PackedRows {
         part += turned_[k] * turned_[k];
       }
       square += part;
+      weights += lambda_[i];
       if (!(part > 0.0)) continue;
       owner = i;
       weight += lambda_[i];
       ++touched;
     }
-    weight = touched ? weight / touched : mean_lambda_;
+    weight = touched ? weight / touched : weights / count;
     const double size = square > 0.0 ? std::sqrt(square) : 1.0;
     const double per = 1.0 / size;
     bound *= per;

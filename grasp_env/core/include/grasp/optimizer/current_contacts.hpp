@@ -98,10 +98,12 @@ class CurrentContacts {
     const double* normals = changes.normals.empty() ? home.normals.data() : changes.normals.data();
     const std::uint64_t mask = touching(changes.contacts);
     const bool whole = all_touch(mask);
-    if (whole) {
+    if (whole && !is_home_) {
       for (int i = 0; i < all; ++i) chosen[i] = i;
       now.select(home, {chosen.data(), std::size_t(all)});
-    } else {
+    }
+    is_home_ = whole;
+    if (!whole) {
       if (all > 64) return REFUSED;
       int count = 0;
       for (int i = 0; i < all; ++i) {
@@ -123,11 +125,15 @@ class CurrentContacts {
         if (touches && !(changes.friction[j] >= 0.0 && changes.friction[j] <= LARGEST))
           return REFUSED;
       }
-      now.set_friction(changes.friction, {chosen.data(), std::size_t(now.count)}, all);
+      if (now.set_friction(changes.friction, {chosen.data(), std::size_t(now.count)}, all))
+        is_home_ = false;
     }
     if (changes.margin && !changes.margin->preload.fits(all)) return REFUSED;
     if (!load_margin(changes.margin ? *changes.margin : home_margin(), now.count)) return REFUSED;
-    if (friction_margin < 1.0) now.narrow(friction_margin);
+    if (friction_margin < 1.0) {
+      now.narrow(friction_margin);
+      is_home_ = false;
+    }
     const Placing placed = now.place(positions, normals);
     if (placed == Placing::refused) return REFUSED;
     if (now.reach.rank == 0) return RANK_LOST;
@@ -137,6 +143,7 @@ class CurrentContacts {
   // Make the contacts of the last `load_call`, all of which touch, the problem's, and its margin,
   // Jacobian and torque bias.
   void take_over(const Changes& changes) {
+    is_home_ = false;
     home_friction_margin = friction_margin;
     home_preload = preload.each;
     if (!changes.friction.empty()) home.set_friction(changes.friction, chosen, home.count);
@@ -210,6 +217,7 @@ class CurrentContacts {
   // The Jacobian (n, 4, J) in contact frames; the call's numbers of the contacts that touch.
   std::vector<double> contact_jacobian_, gathered_, min_normal_, max_normal_;
   Doubles jacobian_{}, bias_{};
+  bool is_home_ = false;  // `now` has the friction and the weights of all contacts of the problem
 
   // Load the margin of the first `count` contacts of `chosen`. Return false if it is out of range.
   bool load_margin(const Margin& margin, int count) {

@@ -302,7 +302,10 @@ template <class V, int B> class Solvers {
     newton.x = home_rest_;
     newton.cones.balance(newton.x, Vec6{});
     if (!(newton.cones.depth(newton.x) > AS_DEEP * home_depth_)) return false;
-    newton.scale_rest(conic_.rest);
+    if (options.method == Method::conic)  // which scales it itself
+      conic_.rest = newton.x;
+    else
+      newton.scale_rest(conic_.rest);
     return newton.cones.phi(conic_.rest) < infinity;
   }
   Code load(const Changes& now) {
@@ -321,7 +324,8 @@ template <class V, int B> class Solvers {
   }
   template <int D> bool pack_limits(LimitedNewton<V, B, D>& to) {
     pack(to.newton.cones);
-    return to.newton.rows.pack(to.newton.cones, current.limits_in_place(), current.preload);
+    return to.newton.rows.pack(to.newton.cones, current.limits_in_place(), current.preload,
+                               current.now.lambda);
   }
   // Pack the current contacts.
   template <int D> void pack(Cones<V, B, D>& to) {

@@ -92,32 +92,37 @@ template <class V, int B, int D = 3> class Cones {
   void pack(const Contacts& c) {
     const int size = 3 * count;
     unit = c.unit;
-    for (int i = 0; i < W * int(blocks.size()); ++i) {
-      auto& block = blocks[i / W];
-      const int n = i % W;
-      const bool used = i < count;
-      set(block.mask, n, used);
-      set(block.cost, n, used ? c.omega[i] / c.divisor[3 * i] : 1.0);
-      const auto weights = fitted<D>(used ? weights_of(c, i) : Weights<double, 4>{1.0, 1.0, 1.0});
-      set(block.weights.omega, n, weights.omega);
-      set(block.weights.lambda, n, weights.lambda);
-      if constexpr (D == 4) set(block.weights.axial, n, weights.axial);
+    for (int b = 0; b < int(blocks.size()); ++b) {
+      auto& block = blocks[b];
+      // one number of each contact, or `none` in unused lanes
+      const auto lanes = [&](double none, auto&& of) {
+        V out{};
+#pragma GCC unroll 8
+        for (int n = 0; n < W; ++n) set(out, n, W * b + n < count ? of(W * b + n) : none);
+        return out;
+      };
+      block.mask = lanes(0.0, [](int) { return 1.0; });
+      block.cost = lanes(1.0, [&](int i) { return c.omega[i] / c.divisor[3 * i]; });
+      const auto weights = [&](int i) { return fitted<D>(weights_of(c, i)); };
+      block.weights.omega = lanes(1.0, [&](int i) { return weights(i).omega; });
+      block.weights.lambda = lanes(1.0, [&](int i) { return weights(i).lambda; });
+      if constexpr (D == 4)
+        block.weights.axial = lanes(1.0, [&](int i) { return weights(i).axial; });
       for (int a = 0; a < 3; ++a) {
-        set(block.scale[a], n, used ? c.scale[3 * i + a] : 1.0);
-        set(block.divisor[a], n, used ? c.divisor[3 * i + a] : 1.0);
+        block.scale[a] = lanes(1.0, [&](int i) { return c.scale[3 * i + a]; });
+        block.divisor[a] = lanes(1.0, [&](int i) { return c.divisor[3 * i + a]; });
         for (int r = 0; r < 6; ++r) {
-          set(block.g[r][a], n, used ? c.rows[r * size + 3 * i + a] : 0.0);
-          set(block.inverse[r][a], n, used ? c.inverse[6 * (3 * i + a) + r] : 0.0);
+          block.g[r][a] = lanes(0.0, [&](int i) { return c.rows[r * size + 3 * i + a]; });
+          block.inverse[r][a] = lanes(0.0, [&](int i) { return c.inverse[6 * (3 * i + a) + r]; });
         }
       }
       if constexpr (D == 4) {  // forces alone balance, by `inverse`
-        const double scale = used ? c.torsion_scale(i) : 1.0;
-        const Vec6 moment = used ? c.torsion_wrench(i) : Vec6{};
-        set(block.scale.v, n, scale);
-        set(block.divisor.v, n, divisor_of(scale));
+        block.scale.v = lanes(1.0, [&](int i) { return c.torsion_scale(i); });
+        block.divisor.v = lanes(1.0, [&](int i) { return divisor_of(c.torsion_scale(i)); });
         for (int r = 0; r < 6; ++r) {
-          set(block.g[r].v, n, moment[r] / divisor_of(scale));
-          set(block.inverse[r].v, n, 0.0);
+          block.g[r].v = lanes(
+              0.0, [&](int i) { return c.torsion_wrench(i)[r] / divisor_of(c.torsion_scale(i)); });
+          block.inverse[r].v = V{};
         }
       }
     }
