@@ -8,4 +8,8 @@ namespace grasp {
 // + t share; and `load`, the largest load along a ray.
 enum class Criterion { sum, largest, torque, excess, load };
 
+// A bound that pays for what its multipliers lack holds for normal forces up to this factor of the
+// largest at hand.
+inline constexpr double FARTHEST_FORCE = 1e4;
+
 }  // namespace grasp

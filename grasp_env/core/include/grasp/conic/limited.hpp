@@ -107,7 +107,6 @@ template <class V, int B, int D = 3, Criterion C = Criterion::sum> class Limited
   // steps never kept them, settling steps follow. Only the sum proves that there is no force: its
   // multipliers are the simplest.
   Code descend(const Record& record, int& iterations) {
-    constexpr double COST = Steps::OF_TORQUES ? 0.0 : 1.0;
     double goal = options.tolerance;
     int settled = 0;
     bool drops = false;
@@ -115,11 +114,10 @@ template <class V, int B, int D = 3, Criterion C = Criterion::sum> class Limited
       measure();
       bool settles = false;
       if (C == Criterion::sum && cost_ == 0.0 && proves_infeasible()) return INFEASIBLE;
-      if (gap_ <= goal * objective_) {
-        const double gap = cost_ == COST ? certify(record) : infinity;
+      if ((cost_ == 1.0 || Steps::OF_TORQUES) && gap_ <= goal * objective_) {
+        const double gap = certify(record);
         if (gap <= options.tolerance) return CONVERGED;
-        // balance has lost its digits
-        if (cost_ == COST && !(gap < infinity) && missed_ <= KEPT) return STALLED;
+        if (!(gap < infinity) && missed_ <= KEPT) return STALLED;  // balance has lost its digits
         settles = !(gap < infinity) && settled++ < SETTLINGS;
         if (!settles) goal *= 0.1;
         if (!(gap_ > 0.0) || goal < 1e-3 * options.tolerance) return STALLED;
@@ -284,18 +282,23 @@ template <class V, int B, int D = 3, Criterion C = Criterion::sum> class Limited
     theta_ = 1.0 / std::max(1.0, share);
     return theta_ * (dual_value() - sum(paid)) + (1.0 - theta_ * share) * largest(preload);
   }
-  // The multipliers of the torques get length one.
+  // The multipliers of the torques get length one. What the dual slacks lack in their cones, for
+  // the cost that is not yet dropped, counts with normal forces FARTHEST_FORCE times the largest.
   double bound_of_torques()
     requires(Steps::OF_TORQUES)
   {
-    V room = all<V>(infinity);
-    for (int b = 0; b < blocks(); ++b)
-      room = min(room, select(cones.blocks[b].mask > 0.0, slack(dual_slack(b)), all<V>(infinity)));
+    V lacking{}, most{};
+    for (int b = 0; b < blocks(); ++b) {
+      const auto& c = cones.blocks[b];
+      lacking += c.mask * max(V{}, -slack(dual_slack(b)));
+      most = max(most, c.mask * at_[b].x.u);
+    }
     Sum square;
     this->torques.each_side(
         [&](const auto& side) { square.add(side.multiplier * side.multiplier * side.per_weight); });
     theta_ = 1.0 / std::sqrt(square.value());
-    return least(room) >= 0.0 && theta_ < infinity ? theta_ * dual_value() : -infinity;
+    const double value = dual_value() - FARTHEST_FORCE * largest(most) * sum(lacking);
+    return theta_ < infinity ? theta_ * value : -infinity;
   }
 };
 

@@ -132,8 +132,7 @@ template <int D> struct Constraints {
   // SLOTS inputs as its tangential parts, first the torques, then the u of the cones before it. The
   // u of the last one is the norm.
   static constexpr int SLOTS = D - 1;
-  // of the largest normal force at hand: bounds that pay for rounding hold for forces up to this
-  static constexpr double FARTHEST = 1e4;
+  static constexpr double FARTHEST = FARTHEST_FORCE;
   static int norm_cones(int joints) { return std::max(1, (joints + SLOTS - 3) / (SLOTS - 1)); }
   int norm_cones() const { return norm_cones(joints); }
   static int norm_equations(int joints) { return joints + norm_cones(joints) - 1; }
