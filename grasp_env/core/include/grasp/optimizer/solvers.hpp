@@ -39,6 +39,22 @@ template <class T> class PerPlacement {
   T value_{};
 };
 
+// A value that takes no room until it is made; copies copy it.
+template <class T> class Rare {
+ public:
+  explicit operator bool() const { return !one_.empty(); }
+  T& operator*() { return one_[0]; }
+  T* operator->() { return &one_[0]; }
+  const T* operator->() const { return &one_[0]; }
+  template <class... A> void emplace(A&&... arguments) {
+    one_.clear();
+    one_.emplace_back(std::forward<A>(arguments)...);
+  }
+
+ private:
+  std::vector<T> one_;
+};
+
 // A force and its torsions; an answer with the multipliers of the limits. Space for all contacts.
 struct Given {
   std::vector<double> force, torsion;
@@ -49,8 +65,8 @@ struct StoredAnswer {
 
 // The exact solvers of a criterion. One of them is there.
 template <class V, int B, Criterion C> struct Exact {
-  std::optional<LimitedConic<V, B, 3, C>> hard;
-  std::optional<LimitedConic<V, B, 4, C>> soft;
+  Rare<LimitedConic<V, B, 3, C>> hard;
+  Rare<LimitedConic<V, B, 4, C>> soft;
   PerPlacement<bool> placed;
 
   explicit operator bool() const { return hard || soft; }
@@ -73,10 +89,10 @@ template <class V, int B> class Solvers {
   CurrentContacts current;
   NewtonSolver<V, B> newton;
   Starter<V, B> starter;
-  std::optional<LimitedNewton<V, B>> limited;
-  std::optional<LimitedNewton<V, B, 4>> soft_limited;
-  std::optional<LeastExcess<V, B>> excess;  // of limits on one contact each
-  std::optional<SoftNewton<V, B>> soft;
+  Rare<LimitedNewton<V, B>> limited;
+  Rare<LimitedNewton<V, B, 4>> soft_limited;
+  Rare<LeastExcess<V, B>> excess;  // of limits on one contact each
+  Rare<SoftNewton<V, B>> soft;
   std::optional<Prediction<V, B>> prediction;
   Tangents<V, B> home_tangents;
   Placement placement;
@@ -277,7 +293,7 @@ template <class V, int B> class Solvers {
   // of the depth of the problem's internal force: enough for the current contacts
   static constexpr double AS_DEEP = 0.5;
   ConicSolver<V, B> conic_;
-  std::optional<FlowSolver<V, B>> flow_;
+  Rare<FlowSolver<V, B>> flow_;
   General general_;
   Exact<V, B, Criterion::sum> sum_;  // also for proofs, and for starts within limits
   Exact<V, B, Criterion::largest> largest_;
