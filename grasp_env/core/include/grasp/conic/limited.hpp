@@ -117,7 +117,8 @@ template <class V, int B, int D = 3, Criterion C = Criterion::sum> class Limited
       if ((cost_ == 1.0 || Steps::OF_TORQUES) && gap_ <= goal * objective_) {
         const double gap = certify(record);
         if (gap <= options.tolerance) return CONVERGED;
-        if (!(gap < infinity) && missed_ <= KEPT) return STALLED;  // balance has lost its digits
+        const bool kept = missed_ <= KEPT && (cost_ == 1.0 || cost_ == 0.0);
+        if (!(gap < infinity) && kept) return STALLED;  // balance has lost its digits
         settles = !(gap < infinity) && settled++ < SETTLINGS;
         if (!settles) goal *= 0.1;
         if (!(gap_ > 0.0) || goal < 1e-3 * options.tolerance) return STALLED;

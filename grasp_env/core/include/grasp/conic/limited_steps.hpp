@@ -172,7 +172,7 @@ template <class V, int B, int D, Criterion C> class LimitedSteps {
     if constexpr (OF_TORQUES) {
       torques.scale(unit_);
       torques.each_side([](auto& side) { side.forget(); });
-      cost_ = torque_square([&](int b) { return at_[b].x; }) / sum(product);
+      cost_ = LENT * torque_square([&](int b) { return at_[b].x; }) / sum(product);
     }
     const double part = OF_LARGEST ? 1.0 / cones.count : cost_;
     const double mean = part * sum(product) / cones.count;
@@ -512,6 +512,9 @@ template <class V, int B, int D, Criterion C> class LimitedSteps {
   static constexpr double STEP = 0.995;  // largest fraction of the way to the boundary
   // Start: smallest slack, of the largest force; largest multipliers together, of a contact's cost.
   static constexpr double FLOOR = 0.1, SHARE = 0.5;
+  // Cost of normal forces that the torques begin with, of the square of the torques. A larger one
+  // is not dropped in time, a smaller one begins too near to the boundary.
+  static constexpr double LENT = 0.1;
   static constexpr double ABOVE = 1.2;  // times the largest normal force of the start: its t
   double dt_ = 0.0;
   Bordered system_;
