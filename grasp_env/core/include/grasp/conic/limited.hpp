@@ -4,7 +4,8 @@
 //     min sum_i c_i u_i  s.t.  G x = -w,  x_i in the cone,  A x + slack = b
 //     max -w . y - b . z  s.t.  s_i = c_i e_u - G_i^T y + (A^T z)_i in the cone,  z >= 0
 //
-// If no force keeps the limits, y and z grow without bound and become the proof.
+// If no force keeps the limits, y and z grow without bound and become the proof. Other criteria
+// have the same steps (`conic/limited_steps.hpp`) and a bound of their own.
 #pragma once
 #include <grasp/conic/limited_steps.hpp>
 #include <grasp/phi/descent.hpp>

@@ -70,8 +70,6 @@ struct Call {
   double optimum = std::numeric_limits<double>::quiet_NaN();
   double* trace = nullptr;  // receives Phi of iterates 0 .. traced - 1
   int traced = 0;
-  // the force is a least excess over limits for another wrench and may be the answer
-  bool exceeding = false;
 };
 
 struct DescentProgress {
