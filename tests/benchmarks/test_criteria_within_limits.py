@@ -117,4 +117,5 @@ def test_random_wrenches_have_clarabels_verdict_and_optimum(criterion, soft):
             # 1e-6 of its own gap, and that of Clarabel
             assert value == pytest.approx(best, rel=5e-6)
             assert solution.objective == pytest.approx(value, rel=1e-12)
+            assert value * (1.0 - 1.01e-6) <= solution.lower_bound <= best * (1.0 + 2e-6)
     assert min(verdicts.values()) > 15
