@@ -5,7 +5,7 @@
 //     max -sum y b - nu . w  s.t.  sum y share = 1,  s_i = sum y a - G_i^T nu in the cone,  y >= 0
 //
 // A primal-dual interior point as in conic.hpp. The rows are rank-one changes of a contact's
-// scaling; t is one border of the 6 x 6 system. x stays balanced, and the multipliers of every
+// scaling; t is one border of the 6 x 6 system_. x stays balanced, and the multipliers of every
 // iterate bound t (`RaisedLimits::farkas`), dual feasible or not.
 #pragma once
 #include <grasp/conic/conic.hpp>
@@ -63,31 +63,30 @@ template <class V, int B> class LeastExcess {
   System<V, B> system_;
 
   ExcessForce descend(const Cones<V, B>& cones, const Vec6& w, Field& x) {
-    System<V, B>& system = system_;
     const int blocks = int(x.size());
     double t = BEGIN * rows.excess(x) + EXCESS_FLOOR;
     Vec6 nu{};
-    begin(cones, rows, x, t);
+    begin(cones, x, t);
     ExcessForce out{false, 0, 0.0, {}};
     for (; out.iterations < MOST; ++out.iterations) {
-      const auto [gap, curvature] = scale(cones, rows, x, t);
+      const auto [gap, curvature] = scale(cones, x, t);
       const bool good =
-          system.assemble(cones, x, {}, [&](int b, Vec3<V>& gradient, Sym3<V>& inverse) {
+          system_.assemble(cones, x, {}, [&](int b, Vec3<V>& gradient, Sym3<V>& inverse) {
             gradient = Vec3<V>{};
             inverse = at_[b].inverse;
           });
       if (!good) return out;
-      const Border border = bordered(cones, system, curvature);
-      const Vec6 left = system.applied + w;
+      const Border border = bordered(cones, curvature);
+      const Vec6 left = system_.applied + w;
       // predictor: aims at zero products
-      ExcessStep step = direct(cones, rows, system, border, left, -1.0, x);
-      const double after = reached(cones, rows, x, step);
+      ExcessStep step = direct(cones, border, left, -1.0, x);
+      const double after = reached(cones, x, step);
       const double part = std::clamp(after / gap, 0.0, 1.0);
       const double enough = ENOUGH * allowed(out.bound);
       const double target =
           std::max(std::max(part * part * part, CENTRE) * gap, enough) / (cones.count + rows.sides);
-      const double slope = correct(cones, rows, system, target);
-      step = direct(cones, rows, system, border, left, slope, x);
+      const double slope = correct(cones, target);
+      step = direct(cones, border, left, slope, x);
       const double primal = std::min(1.0, REACH * step.primal);
       const double dual = std::min(1.0, REACH * step.dual);
       if (!(primal + dual > 1e-6)) return out;
@@ -135,7 +134,7 @@ template <class V, int B> class LeastExcess {
   Blocks<At, B> at_;
 
   // A central point: s = mu J x / (x . J x), y = mu / slack, with mu such that sum y share = 1.
-  void begin(const Cones<V, B>& cones, RaisedLimits<V, B>& rows, const Field& x, double t) {
+  void begin(const Cones<V, B>& cones, const Field& x, double t) {
     V total{};
     for (int b = 0; b < int(x.size()); ++b)
       rows.for_each(b, [&](Pair<V>& p) {
@@ -159,7 +158,7 @@ template <class V, int B> class LeastExcess {
   struct Scaled {
     double gap, curvature;
   };
-  Scaled scale(const Cones<V, B>& cones, RaisedLimits<V, B>& rows, const Field& x, double t) {
+  Scaled scale(const Cones<V, B>& cones, const Field& x, double t) {
     V gap{}, curvature{};
     for (int b = 0; b < int(x.size()); ++b) {
       auto& at = at_[b];
@@ -196,7 +195,7 @@ template <class V, int B> class LeastExcess {
     Vec6 side, across;
     double pivot;
   };
-  Border bordered(const Cones<V, B>& cones, System<V, B>& system, double curvature) {
+  Border bordered(const Cones<V, B>& cones, double curvature) {
     V sides[6] = {}, square{};
     for (int b = 0; b < int(at_.size()); ++b) {
       const Vec3<V> h = at_[b].inverse * at_[b].mixed;
@@ -204,7 +203,7 @@ template <class V, int B> class LeastExcess {
       square += dot(at_[b].mixed, h);
     }
     const Vec6 side = sums(sides);
-    const Vec6 across = system.schur.solve(side);
+    const Vec6 across = system_.schur.solve(side);
     return {side, across, curvature - sum(square) + dot(side, across)};
   }
 
@@ -214,12 +213,12 @@ template <class V, int B> class LeastExcess {
     Vec6 nu;
     double dt, primal, dual;
   };
-  ExcessStep direct(const Cones<V, B>& cones, RaisedLimits<V, B>& rows, System<V, B>& system,
-                    const Border& border, const Vec6& left, double slope, const Field& x) {
+  ExcessStep direct(const Cones<V, B>& cones, const Border& border, const Vec6& left, double slope,
+                    const Field& x) {
     V cross{};
     for (int b = 0; b < int(at_.size()); ++b)
-      cross -= dot(at_[b].inverse * at_[b].mixed, system.gradient[b]);
-    const Vec6 first = system.multipliers(left);
+      cross -= dot(at_[b].inverse * at_[b].mixed, system_.gradient[b]);
+    const Vec6 first = system_.multipliers(left);
     const double dt = (slope + sum(cross) + dot(border.side, first)) / border.pivot;
     const Vec6 nu = first - dt * border.across;
     V primal = all<V>(1e-9);
@@ -228,7 +227,7 @@ template <class V, int B> class LeastExcess {
       auto& at = at_[b];
       const auto& c = cones.blocks[b];
       const Vec3<V> y = c.transposed(nu);
-      at.dx = c.mask * (at.inverse * (y - system.gradient[b] + all<V>(dt) * at.mixed));
+      at.dx = c.mask * (at.inverse * (y - system_.gradient[b] + all<V>(dt) * at.mixed));
       at.ds = -y - at.s;
       rows.for_each(b, [&](Pair<V>& p) {
         const V along = dot(p.a, at.dx);
@@ -252,8 +251,7 @@ template <class V, int B> class LeastExcess {
   }
 
   // The gap after the predictor.
-  double reached(const Cones<V, B>& cones, const RaisedLimits<V, B>& rows, const Field& x,
-                 const ExcessStep& step) const {
+  double reached(const Cones<V, B>& cones, const Field& x, const ExcessStep& step) const {
     const V primal = all<V>(std::min(1.0, step.primal));
     const V dual = all<V>(std::min(1.0, step.dual));
     V gap{};
@@ -270,8 +268,7 @@ template <class V, int B> class LeastExcess {
 
   // Right-hand sides of the corrector, from the predictor's steps: gradients go into `system`,
   // multipliers for an unchanged slack into dmultiplier. Return the slope of t.
-  double correct(const Cones<V, B>& cones, RaisedLimits<V, B>& rows, System<V, B>& system,
-                 double target) {
+  double correct(const Cones<V, B>& cones, double target) {
     V slope{}, pull[6] = {};
     for (int b = 0; b < int(at_.size()); ++b) {
       auto& at = at_[b];
@@ -288,10 +285,10 @@ template <class V, int B> class LeastExcess {
           gradient += (sign * side.dmultiplier) * p.a;
         });
       });
-      system.gradient[b] = cones.blocks[b].mask * gradient;
-      cones.blocks[b].add_wrench(at.inverse * system.gradient[b], pull);
+      system_.gradient[b] = cones.blocks[b].mask * gradient;
+      cones.blocks[b].add_wrench(at.inverse * system_.gradient[b], pull);
     }
-    system.pull = sums(pull);
+    system_.pull = sums(pull);
     return sum(slope) - 1.0;
   }
 };

@@ -29,11 +29,11 @@ template <class V, int B, int D = 3> class LimitedNewton {
   Code follow(const Call& call, const Vec6& w, const Record& record) {
     newton.cones.load_force(call.force, newton.x, 0, call.torsion);
     newton.cones.reset_unused_lanes(newton.x);
-    return descend(call, w, record, SHORT, true);
+    return descend(call, w, record, true);
   }
   // Solve from x. REFUSED: numbers are not finite, or out of digits.
   Code descend(const Call& call, const Vec6& w, const Record& record) {
-    return descend(call, w, record, SHORT, false);
+    return descend(call, w, record, false);
   }
   // Write the multipliers of the rows at x.
   void store_multipliers(double* to) {
@@ -46,10 +46,9 @@ template <class V, int B, int D = 3> class LimitedNewton {
   static constexpr double CLOSE = 2.0;
   typename Cones<V, B, D>::Field begun_;
 
-  Code descend(const Call& call, const Vec6& w, const Record& record, double fraction,
-               bool leaping) {
+  Code descend(const Call& call, const Vec6& w, const Record& record, bool leaping) {
     begun_ = newton.x;
-    const Code code = newton.descend_from(begun_, call, w, record, fraction, leaping);
+    const Code code = newton.descend_from(begun_, call, w, record, SHORT, leaping);
     return code == STALLED ? REFUSED : code;
   }
 };
