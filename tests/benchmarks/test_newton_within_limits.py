@@ -3,20 +3,15 @@ and each force meets the conditions of the optimum of Phi, computed again from t
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from limited_tracks import TRACKS, made_soft
 from oracles.phi import gradient
 
 from benchmarks.force.package import grasp_of, margin_of
 from benchmarks.force.problems import BARRIER_WEIGHT, Problem, load
 from grasp_env.errors import InfeasibleWrenchError
 from grasp_env.force import ForceOptimizer, ForceSolution
-
-TRACKS = ("own", "shared", "margin", "infeasible", "loop")
-LEVER = 0.005
-"""Torsional over tangential friction of contacts made soft [m]."""
 
 
 def solved(problem: Problem, method: str) -> ForceSolution | None:
@@ -70,7 +65,7 @@ def test_forces_are_optima_and_verdicts_those_of_the_exact_solver(track, soft):
     forces = 0
     for problem in problems:
         if soft:
-            problem = replace(problem, torsional_friction=LEVER * problem.friction)
+            problem = made_soft(problem)
         solution = solved(problem, "newton")
         assert (solution is None) == (solved(problem, "conic") is None)
         if solution is not None:

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from limited_tracks import TRACKS, drawn
 
 from benchmarks.force.bounds import Measure
 from benchmarks.force.entrant import Task
 from benchmarks.force.entrants.clarabel import Clarabel
 from benchmarks.force.entrants.ours import ConicPython
-from benchmarks.force.problems import Problem, Session, load
+from benchmarks.force.problems import Problem, load
 from benchmarks.force.score import parts_of, score
 
 pytest.importorskip("clarabel")
-LIMITED = ("own", "shared", "margin", "soft", "infeasible", "loop")
+LIMITED = (*TRACKS[:3], "soft", *TRACKS[3:])
 
 
 def started(entrant: Any, track: str, problem: Problem) -> Any:
@@ -31,17 +31,6 @@ def test_every_problem_of_a_track_is_solved_and_proved(track):
         for problem, best in zip(session.problems, session.references["sum"].value, strict=True):
             row = score(problem, "sum", best, parts_of(problem, solver.solve(problem)))
             assert (row["solved"], row["proved"], row["wrong"]) == (True, True, False), session.name
-
-
-def drawn(session: Session, rng: np.random.Generator, count: int) -> list[Problem]:
-    """Problems of a session with other wrenches: limits bind, and some have no force."""
-    problems = [session.problems[k] for k in rng.integers(len(session.problems), size=count)]
-    wrenches = [
-        problem.wrench * rng.uniform(0.1, 1.6)
-        + 0.3 * np.abs(problem.wrench).max() * rng.standard_normal(6) * np.repeat([1.0, 0.03], 3)
-        for problem in problems
-    ]
-    return [replace(p, wrench=w) for p, w in zip(problems, wrenches, strict=True)]
 
 
 def test_random_wrenches_have_clarabels_verdict_and_optimum():
