@@ -70,7 +70,7 @@ template <class V, int B, int D = 3> class Barriers
             std::span<const double> lambda) {
     if (!Rows::pack(cones, limits, preload, lambda)) return false;
     this->scale(1.0);
-    this->weigh();
+    this->each_place([](auto& side, int n, const auto& row) { set(side.weight, n, row.weight); });
     return true;
   }
 

@@ -29,7 +29,7 @@ template <class V, int B, int D, class Own, class Joint> class PackedRows {
   }
 
   // Take over the limits of the contacts in `cones`, with a Jacobian (N, 4, J) in contact frames.
-  // lambda: (N,) weights of Phi, for `weigh`. Return false if numbers are too large.
+  // lambda: (N,) weights of Phi. Return false if numbers are too large.
   bool pack(const Cones<V, B, D>& cones, const ForceLimits& limits, const Preload& preload,
             std::span<const double> lambda = {}) {
     clear(cones);
@@ -68,14 +68,14 @@ template <class V, int B, int D, class Own, class Joint> class PackedRows {
   }
   // Call f(row) for the rows of the contacts in block b.
   template <class F> void each_own(int b, F&& f) {
-    for (int k = 0; k < per_contact_; ++k) f(own_[std::size_t(blocks_) * k + b]);
+    for (int k = 0; k < per_contact_; ++k) f(own(k, b));
   }
   // the same from the last to the first
   template <class F> void each_own_back(int b, F&& f) {
-    for (int k = per_contact_ - 1; k >= 0; --k) f(own_[std::size_t(blocks_) * k + b]);
+    for (int k = per_contact_ - 1; k >= 0; --k) f(own(k, b));
   }
   template <class F> void each_own(int b, F&& f) const {
-    for (int k = 0; k < per_contact_; ++k) f(own_[std::size_t(blocks_) * k + b]);
+    for (int k = 0; k < per_contact_; ++k) f(own(k, b));
   }
   // Call f(side) for both sides of all rows: registers for those of one contact, numbers for
   // others.
@@ -87,48 +87,49 @@ template <class V, int B, int D, class Own, class Joint> class PackedRows {
     sides_of(own_, f);
     sides_of(joints, f);
   }
-  // The same without the row that `add_each` added last.
+  // Call f(row) as `each_own`, without the row that `add_each` added last.
   template <class F> void each_given(int b, F&& f) const {
-    for (int k = 0; k + 1 < per_contact_; ++k) f(own_[std::size_t(blocks_) * k + b]);
+    for (int k = 0; k + 1 < per_contact_; ++k) f(own(k, b));
   }
   // Row of block b that `add_each` added last.
-  const Own& added(int b) const { return own_[std::size_t(blocks_) * (per_contact_ - 1) + b]; }
-  Own& added(int b) { return own_[std::size_t(blocks_) * (per_contact_ - 1) + b]; }
+  const Own& added(int b) const { return own(per_contact_ - 1, b); }
+  Own& added(int b) { return own(per_contact_ - 1, b); }
   // Smallest bound.
   double least_bound() const {
     double out = infinity;
     for (const Place& p : places_) out = std::min(out, p.bound);
     return out;
   }
+  // A row as it was given: its length, its bound over that [N], lambda of its term of Phi.
+  struct Given {
+    double size = 1.0, bound = 0.0, weight = 0.0;
+  };
+  // Call f(side, lane, given) for every row, in the order of the limits.
+  template <class F> void each_place(F&& f) {
+    for (const Place& p : places_) visit(*this, p, f);
+  }
+  template <class F> void each_place(F&& f) const {
+    for (const Place& p : places_) visit(*this, p, f);
+  }
   // Set the bounds for forces in units of `unit`.
   void scale(double unit) {
     const double per = 1.0 / unit;
-    for (const Place& p : places_)
-      at(p, [&](auto& side, int n) { set(side.bound, n, per * p.bound); });
-  }
-  // Set the weight of each row's term of Phi.
-  void weigh() {
-    for (const Place& p : places_) at(p, [&](auto& side, int n) { set(side.weight, n, p.weight); });
-  }
-  // Call f(side, lane, size) for every row as it was given: `size` is its length.
-  template <class F> void each_place(F&& f) {
-    for (const Place& p : places_) at(p, [&](auto& side, int n) { f(side, n, p.size); });
+    each_place([&](auto& side, int n, const Given& row) { set(side.bound, n, per * row.bound); });
   }
   // Write the multipliers of the rows as they were given, each times k.
   void store(double k, double* to) const {
-    for (const Place& p : places_)
-      at(p, [&](const auto& side, int n) { *to++ = k * get(side.multiplier, n) / p.size; });
+    each_place([&](const auto& side, int n, const Given& row) {
+      *to++ = k * get(side.multiplier, n) / row.size;
+    });
   }
 
  private:
   static constexpr double PARALLEL = 1e-12;   // allowed difference of opposite rows
   static constexpr double MOST_FORCE = 1e20;  // [N]
   // Where a row stands: at a contact, or in `joints` (contact -1).
-  struct Place {
+  struct Place : Given {
     int contact = 0, at = 0;
     bool low = false;
-    double size = 1.0, bound = 0.0,
-           weight = 0.0;  // divisor of the row, its bound [N], lambda of its term of Phi
   };
   int blocks_ = 0, per_contact_ = 0;
   std::vector<Own> own_;    // (rows of a contact, blocks)
@@ -159,14 +160,14 @@ template <class V, int B, int D, class Own, class Joint> class PackedRows {
     own_.clear();
     sides = per_contact_ = 0;
   }
-  template <class F> void at(const Place& p, F&& f) { find(*this, p, f); }
-  template <class F> void at(const Place& p, F&& f) const { find(*this, p, f); }
-  template <class Self, class F> static void find(Self& self, const Place& p, F& f) {
-    if (p.contact < 0) {
-      f(self.joints[p.at].side(p.low), 0);
-    } else {
-      f(self.own_[std::size_t(self.blocks_) * p.at + p.contact / W].side(p.low), p.contact % W);
-    }
+  // Row k of the contacts in block b.
+  Own& own(int k, int b) { return own_[std::size_t(blocks_) * k + b]; }
+  const Own& own(int k, int b) const { return own_[std::size_t(blocks_) * k + b]; }
+  template <class Self, class F> static void visit(Self& self, const Place& p, F&& f) {
+    if (p.contact < 0)
+      f(self.joints[p.at].side(p.low), 0, p);
+    else
+      f(self.own(p.at, p.contact / W).side(p.low), p.contact % W, p);
   }
 
   // row: (N, 4)
@@ -203,7 +204,7 @@ template <class V, int B, int D, class Own, class Joint> class PackedRows {
       add_joint(place);
     else
       add_own(place);
-    at(place, [](auto& side, int n) { set(side.present, n, 1.0); });
+    visit(*this, place, [](auto& side, int n, const Given&) { set(side.present, n, 1.0); });
     return true;
   }
   void add_own(Place& place) {
@@ -214,7 +215,7 @@ template <class V, int B, int D, class Own, class Joint> class PackedRows {
     for (int k = 0; k < D; ++k) most = std::max(most, std::abs(a[k]));
     const int many = counts_[place.contact];
     for (place.at = 0; place.at < many && most > 0.0 && Own::PAIRED; ++place.at) {
-      Own& other = own_[std::size_t(blocks_) * place.at + b];
+      Own& other = own(place.at, b);
       double off = 0.0;
       for (int r = 0; r < D; ++r) off = std::max(off, std::abs(get(other.a[r], n) + a[r]));
       place.low = off <= PARALLEL && !(get(other.side(true).present, n) > 0.0);
@@ -225,8 +226,7 @@ template <class V, int B, int D, class Own, class Joint> class PackedRows {
       ++per_contact_;
       own_.resize(std::size_t(blocks_) * per_contact_, Own{});
     }
-    Own& own = own_[std::size_t(blocks_) * place.at + b];
-    for (int r = 0; r < D; ++r) set(own.a[r], n, a[r]);
+    for (int r = 0; r < D; ++r) set(own(place.at, b).a[r], n, a[r]);
   }
   void add_joint(Place& place) {
     const int count = int(lambda_.size());
