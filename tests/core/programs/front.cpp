@@ -103,7 +103,7 @@ int main(int argc, char** arguments) {
   const ForceLimits unmoved{.jacobian = zeros, .torque_limit = torques};
   const ForceLimits common{.jacobian = shared, .torque_limit = four, .torque_bias = bias};
 
-  const double exact = 1e-9;
+  const double exact = 1e-12;
   const Options newton{.tolerance = exact};
   const Options flow{.method = Method::reduced_flow};
   const Options full{.method = Method::full_flow};
