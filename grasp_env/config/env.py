@@ -41,7 +41,7 @@ from grasp_env.settings import (
 )
 from grasp_env.sim.engine import ENGINE, EngineSettings, engine_of
 from grasp_env.sim.grasping.approach import DIRECTIONS, as_approach
-from grasp_env.sim.grasping.pads import PATCH_RADIUS, with_soft_contacts
+from grasp_env.sim.grasping.pads import PATCH_RADIUS, SOFT_PAIR, with_soft_contacts
 from grasp_env.sim.hand.description import HANDS, HandDescription
 from grasp_env.sim.hand.plain import hand_of, hand_to_plain
 from grasp_env.sim.objects.description import ObjectDescription
@@ -292,6 +292,7 @@ class EnvConfig(Settings):
             self,
             engine=engine_of(self.engine),
             object=item,
+            agent=replace(self.agent, action_mode=self.action_mode),
             disturbance=task.disturbance if self.disturbance is None else self.disturbance,
             limits=replace(limits, **defaults),
         )
@@ -309,6 +310,13 @@ class EnvConfig(Settings):
             (0.102, 0.004)
         """
         return self.override(**draw(dict(self.randomize), self.object.shape, rng))
+
+    @property
+    def action_mode(self) -> str:
+        """The mode of the agent's actions; by default a start, with two fingers the grip."""
+        # two fingers have soft contacts: Newton optimises, which hardly depends on its start
+        usual = "grip" if self.hand_description.finger_count == SOFT_PAIR else "initial_force"
+        return self.agent.action_mode or usual
 
     @property
     def hand_description(self) -> HandDescription:

@@ -295,11 +295,12 @@ class AgentSettings(Settings):
     """
 
     rate: int = setting(50, integer(1), "Agent steps per second.", unit="Hz")
-    action_mode: str = setting(
-        "initial_force",
+    action_mode: str | None = setting(
+        None,
         one_of(ACTION_MODES),
         "Action: an adjustment of the solver's start, a change of its forces, its margin, the contact forces without a solver, or "
         "ignored.",
+        none="initial_force; grip for a hand of two fingers",
     )
     action_scale: float = setting(5.0, real(POSITIVE), "Force at action 1.", unit="N")
     observation: str = setting(

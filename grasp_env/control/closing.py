@@ -17,6 +17,7 @@ CLOSING_TIME, SETTLING_TIME = 4.0, 0.6
 """Longest times [s] until every finger touches, and until the hand carries the weight at rest."""
 # speed [m/s] and distance [m] below which the object is at rest in its place
 _STILL, _PLACED = 2e-3, 3e-5
+_WATCHED = 8  # control ticks between looks at what hinders the fingers
 _QUIET, _SETTLED = 8, 4  # control ticks in a row at rest: of the fingers, of the object
 # joint speed [rad/s] and kinetic energy [J] below which the fingers are at rest
 _SLOW, _ENERGY = 0.1, 1e-5
@@ -66,7 +67,11 @@ def _close(scene: Scene, loop: ForceLoop) -> None:
     raise SimulationError(
         f"the fingers did not come to rest on the object in {CLOSING_TIME} s: "
         + _causes(
-            scene, _weak(scene, loop), "they push it about: make it heavier or less slender", False
+            scene,
+            _weak(scene, loop),
+            _obstacles(scene),
+            "they push it about: make it heavier or less slender",
+            False,
         )
     )
 
@@ -99,6 +104,7 @@ def take_over(scene: Scene, loop: ForceLoop) -> None:
     in_place = 0  # ticks in a row
     latest = ticks - 2 * _SETTLED
     weak = set[int]()
+    obstacles = list[str]()  # while the object was in its place: afterwards they are consequences
 
     def imbalance(forces: Collection[Array]) -> float:
         """Return what the mean of sums of contact forces misses of the weight, as a share of it."""
@@ -120,6 +126,8 @@ def take_over(scene: Scene, loop: ForceLoop) -> None:
             and not loop.controller.rising
         )
         away = np.abs(snapshot.position).max()
+        if tick % _WATCHED == 0 and away < _NEAR:
+            obstacles = _obstacles(scene)
         # fingers that cannot push in every direction leave the object slightly displaced
         steady = steady + 1 if still and away < (_PLACED if tick < latest else _NEAR) else 0
         in_place = in_place + 1 if snapshot.touching.all() and away < _PLACED else 0
@@ -135,7 +143,7 @@ def take_over(scene: Scene, loop: ForceLoop) -> None:
         f"the friction {loop.friction / loop.margin.friction:.3g}: lower friction_margin, raise barrier_weight, or make the object lighter"
     )
     raise SimulationError(
-        f"the grasp did not settle within {SETTLING_TIME} s: {_causes(scene, weak, friction, True)}"
+        f"the grasp did not settle within {SETTLING_TIME} s: {_causes(scene, weak, obstacles, friction, True)}"
     )
 
 
@@ -146,21 +154,15 @@ def _weak(scene: Scene, loop: ForceLoop) -> set[int]:
     return set(at_limit.tolist()) if loop.effort.saturated else set()
 
 
-def _causes(scene: Scene, weak: set[int], otherwise: str, settling: bool) -> str:
-    """Return the likely causes of a failed grasp, with remedies; `weak`: joints of weak motors."""
+def _obstacles(scene: Scene) -> list[str]:
+    """Return what hinders the fingers in their posture, with remedies."""
     snapshot = scene.look()
     hand = scene.config.hand
     joints = hand.joint_names
     kinematics = scene.kinematics
-    limits, angles = kinematics.torque_limits, snapshot.angles
+    angles = snapshot.angles
     names = [hand.palm.name, *(link.name for link in hand.links)]
     causes = []
-    if weak:
-        listed = ", ".join(f"{joints[j]} ({limits[j]:g} N m)" for j in sorted(weak))
-        causes.append(
-            f"joints at their torque limits: {listed}. No force within them carries the object where it is: raise torque_limit, make "
-            "the object lighter or rougher, or grasp it elsewhere"
-        )
     contacts = scene.simulator.self_contacts()
     pairs = [f"{names[first + 1]} and {names[second + 1]}" for first, second in contacts]
     if pairs:
@@ -171,7 +173,7 @@ def _causes(scene: Scene, weak: set[int], otherwise: str, settling: bool) -> str
     left = np.minimum(angles - kinematics.lower, kinematics.upper - angles)
     near = np.flatnonzero(left < np.minimum(_END, 0.01 * span))
     if len(near):
-        listed = ", ".join(f"{joints[j]} ({angles[j]:.3f})" for j in near)
+        listed = ", ".join(f"{joints[j]} ({angles[j]:.3f} {hand.links[j].units[0]})" for j in near)
         causes.append(
             f"joints at the ends of their ranges: {listed}. Give contact_points or a home posture away from these"
         )
@@ -179,6 +181,26 @@ def _causes(scene: Scene, weak: set[int], otherwise: str, settling: bool) -> str
         causes.append(
             f"links push the object with {snapshot.stray[0]:.2g} N besides the fingertips. Give contact_points that tips reach alone"
         )
+    return causes
+
+
+def _causes(
+    scene: Scene, weak: set[int], obstacles: list[str], otherwise: str, settling: bool
+) -> str:
+    """Return the likely causes of a failed grasp, with remedies; `weak`: joints of weak motors."""
+    snapshot = scene.look()
+    hand = scene.config.hand
+    limits = scene.kinematics.torque_limits
+    causes = []
+    if weak:
+        listed = ", ".join(
+            f"{hand.joint_names[j]} ({limits[j]:g} {hand.links[j].units[1]})" for j in sorted(weak)
+        )
+        causes.append(
+            f"joints at their torque limits: {listed}. No force within them carries the object where it is: raise torque_limit, make "
+            "the object lighter or rougher, or grasp it elsewhere"
+        )
+    causes += obstacles
     if not causes and settling:
         return otherwise
     if not snapshot.touching.all():

@@ -276,7 +276,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         tips, joints = hand.finger_count, hand.joint_count
         self._torque_limits = hand.torque_limits
         self._annotator = Annotator(config, hand)
-        self._observer = Observer(tips, joints, config.agent.action_mode)
+        self._observer = Observer(tips, joints, config.action_mode)
         vector = gym.spaces.Box(-self._observer.bound, self._observer.bound, dtype=np.float32)
         self._as_dict = config.agent.observation == "dict"
         blocks: dict[str, gym.Space[Any]] = {
@@ -284,7 +284,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
             for block in self._observer.fields
         }
         self.observation_space = gym.spaces.Dict(blocks) if self._as_dict else vector
-        self._mode = MODES[config.agent.action_mode]
+        self._mode = MODES[config.action_mode]
         self._action_shape = (self._mode.size(tips),)
         self.action_space = gym.spaces.Box(-1.0, 1.0, self._action_shape, dtype=np.float32)
         self._ticks_per_step = config.controller.rate // config.agent.rate
@@ -629,7 +629,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
 
 def why_idle(config: EnvConfig) -> str:
     """Return why actions change nothing; "" if they do, or are off on purpose."""
-    mode = config.agent.action_mode
+    mode = config.action_mode
     if config.agent.sets_forces or mode == "none":
         return ""
     if config.controller.kind != "optimized":

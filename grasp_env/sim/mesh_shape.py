@@ -11,12 +11,24 @@ from grasp_env.inputs.arguments import Array
 
 WELD = 1e-7
 """Distance within which corners are merged, relative to the extent; an .stl repeats all corners."""
+UNITS = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "metres": 1.0}
+"""Units of mesh files, each with its length [m]."""
 _DIRECTIONS = np.array(list(product((-1.0, 0.0, 1.0), repeat=3)))
 
 
 def extent_of(corners: Array) -> float:
     """Return the longest side of the bounding box of corners (V, 3); 1 if all coincide."""
     return float(np.ptp(corners, axis=0).max()) or 1.0
+
+
+def scale_advice(extent: float, most: float) -> str:
+    """Return the factors that make an extent 5 mm to `most` [m], in words; "" if no unit fits."""
+    options = [
+        f"{length:g} if the file is in {unit} ({1e3 * length * extent:.3g} mm large)"
+        for unit, length in UNITS.items()
+        if 5e-3 <= length * extent <= most
+    ]
+    return ", ".join(options)
 
 
 def volume(corners: Array, faces: Any) -> float:

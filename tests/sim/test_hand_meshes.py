@@ -299,7 +299,7 @@ NO_MESH = [
     (
         "a.obj",
         b"v 60 0 0\nv 1 0 0\nv 0 50 0\nv 0 0 40\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n",
-        'are 1e-05 to 5; .* scale="0.001',
+        "are 1e-05 to 5; multiply scale= of its <mesh> by 0.001 if the file is in millimetres \\(60 mm large\\)$",
     ),
     ("a.obj", b"v 0 0 0\nv 0 0 0\nv 0 0 0\nf 1 2 3\n", "all its faces are lines or points"),
     ("a.txt", b"", "not of a supported type"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 
 import gymnasium as gym
@@ -185,3 +186,29 @@ def test_hands_that_cannot_be_placed():
     ):
         EnvConfig(approach="up")
     assert EnvConfig(hand=jaws(), approach=(0.0, -2.0, 0.0)).approach == (0.0, -1.0, 0.0)
+
+
+def test_sliding_joints_have_their_own_units():
+    jaw = jaws().links[0]
+    with pytest.raises(InvalidInputError, match=r"torque_limit \[N\]"):
+        replace(jaw, torque_limit=0.0)
+    with pytest.raises(InvalidInputError, match=r"joint limits \[m\]"):
+        replace(jaw, lower=0.1)
+    with pytest.raises(
+        InvalidInputError, match=r"home=0\.5 m of joint 'jaw0_joint' .* 0\.0 to 0\.04 m"
+    ):
+        replace(jaws(), home=(0.5, 0.5))
+
+
+def test_an_agent_of_two_jaws_sets_the_grip():
+    """A default that its user did not choose is no reason for a warning."""
+    item = replace(CUBE, torsional_friction=0.004)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        env = gym.make("grasp_env:FourFingerGrasp-v0", hand=jaws(), object=item)
+    assert env.action_space.shape == (2,)
+    env.close()
+    with pytest.warns(GraspWarning, match="an agent's actions change nothing: on soft contacts"):
+        gym.make(
+            "grasp_env:FourFingerGrasp-v0", hand=jaws(), object=item, action_mode="initial_force"
+        ).close()

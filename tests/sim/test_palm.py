@@ -167,7 +167,7 @@ STILL = [
         hand() + NAIL,
         {},
         6,
-        "joints with equal limits, lower = upper, hold still: 'n', 'o'; give the true ranges as joint_limits=",
+        "joints with equal limits, lower = upper, or a mimic multiplier of 0 hold still: 'n', 'o'; give the true ranges as joint_limits=",
         (0.0,),
     ),
 ]

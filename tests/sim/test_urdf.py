@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from urdf_text import INERTIAL, hand, joint, link, read, robot, small
+from urdf_text import INERTIAL, hand, joint, link, read, robot, small, solid
 
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand.description import HANDS, Fingertip, HandDescription, Mimic
@@ -196,7 +196,7 @@ def test_impossible_inertias_become_the_nearest(tmp_path, given):
     bad = INERTIAL.replace('ixx="1e-5" iyy="1e-5" izz="1e-5"', row)
     made, told = read(tmp_path, small(SPHERE, palm=bad).replace(INERTIAL, bad))
     assert (
-        "physically impossible inertias are replaced by the nearest possible ones: 'finger' ("
+        "principal moments that no body can have are replaced by the nearest possible ones: 'finger' ("
         in told
     )
     assert "'palm'" not in told
@@ -252,7 +252,6 @@ NO_HAND = [
         '<mimic joint="none"',
         "'mid' mimics 'none', which is not a joint of the file; joints are",
     ),
-    (RATIO, 'multiplier="0"', "ratio=0.0 does not move the joint"),
     (
         'name="drive" type="revolute"',
         'name="drive" type="fixed"',
@@ -324,3 +323,32 @@ def test_a_quaternion_is_the_rotation_of_its_axis_and_angle():
     for turn in Rotation.random(20, random_state=3):
         matrix = quaternion_rotation(turn.as_quat())
         np.testing.assert_allclose(matrix, turn.as_matrix(), atol=2e-15)
+
+
+def test_a_joint_that_mimics_with_ratio_0_holds_still_at_its_offset(tmp_path):
+    made, told = read(tmp_path, CHAINED.replace(RATIO, 'multiplier="0"'), ["end"])
+    assert "or a mimic multiplier of 0 hold still: 'tip', 'mid'" in told
+    assert [link.joint for link in made.links] == ["slide", "drive"]
+    moving = HandKinematics(read(tmp_path, CHAINED, ["end"])[0])
+    # where the driver is at 0, a coupled joint is at its offset, too
+    assert np.allclose(
+        HandKinematics(made).tips(np.array([0.01, 0.0])),
+        moving.tips(moving.coupled(np.array([0.01, 0.0, 0.0, 0.0]))),
+        atol=1e-12,
+    )
+
+
+def test_links_that_are_only_drawn_are_told(tmp_path):
+    drawn = solid('<box size="0.03 0.01 0.01"/>', role="visual")
+    _, told = read(tmp_path, small(SPHERE, palm=drawn))
+    assert "links without collision shapes are drawn and touch nothing: 'palm'" in told
+    assert "touch nothing" not in read(tmp_path, small(SPHERE + drawn))[1]
+
+
+def test_digits_that_a_file_rounds_are_not_told(tmp_path):
+    rounded = INERTIAL.replace(
+        'ixx="1e-5" iyy="1e-5" izz="1e-5"', 'ixx="1e-5" iyy="1e-5" izz="2.001e-5"'
+    )
+    made, told = read(tmp_path, SMALL.replace(INERTIAL, rounded))
+    assert "moments" not in told
+    inertia_of(made.links[0].inertia, "finger")

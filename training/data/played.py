@@ -98,7 +98,7 @@ def played(text: str) -> Played:
     problems: list[tuple[Grasp, Wrench]] = []
     with closing(FourFingerGrasp(config=solving(given, recorder))) as env:
         recorder.fingers = env.scene.config.hand.finger_count
-        policy = RandomPolicy(2) if given.agent.action_mode == "grip" else None
+        policy = RandomPolicy(2) if given.action_mode == "grip" else None
         for seed in range(FIRST_SEED, FIRST_SEED + EPISODES):
             steps = episode(env, seed, policy, STEPS)
             recorder.problems.clear()  # of the hand that takes hold of the object
@@ -144,7 +144,7 @@ def solving(config: EnvConfig, rule: Any) -> EnvConfig:
 
     Nothing breaks, and no fault that lasts ends an episode.
     """
-    mode = "grip" if config.agent.action_mode == "grip" else "initial_force"
+    mode = "grip" if config.action_mode == "grip" else "initial_force"
     return config.override(
         method="reduced_flow",
         initial_force=rule,

@@ -40,7 +40,7 @@ class Baseline:
         settings = settings.override(**self.changes)
         if self.learned:
             settings = settings.override(initial_force=LearnedInitialForce.pretrained())
-        size = MODES[settings.agent.action_mode].size(settings.hand_description.finger_count)
+        size = MODES[settings.action_mode].size(settings.hand_description.finger_count)
         return self.policy(size), settings
 
 

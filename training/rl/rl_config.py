@@ -121,7 +121,7 @@ class RLConfig:
 
     def resolved(self) -> RLConfig:
         """Return the settings with every default filled in, and smaller counts if `quick`."""
-        action = self.action or self._environment().agent.action_mode
+        action = self.action or self._environment().action_mode
         usual = ACTIONS[action]
         full = replace(
             self,
@@ -166,7 +166,7 @@ class RLConfig:
         from grasp_env.env.observation import bounds
 
         config = as_config(self.env_settings)
-        mode = config.agent.action_mode
+        mode = config.action_mode
         fingers = config.hand_description.finger_count
         joints = config.hand_description.joint_count
         return {

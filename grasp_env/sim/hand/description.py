@@ -105,13 +105,14 @@ class HandDescription:
         home = self.home
         if isinstance(home, list | tuple) and not home:
             home = [_middle(link) for link in self.links]
-        home = numbers(home, len(self.links), f"{name}: home [rad]")
+        home = numbers(home, len(self.links), f"{name}: home [rad, m]")
         object.__setattr__(self, "home", self._coupled(home))
         for link, angle in zip(self.links, self.home, strict=True):
             if link.mimic is None and not link.lower <= angle <= link.upper:
+                length = link.units[0]
                 raise InvalidInputError(
-                    f"{name}: home={angle} rad of joint {link.joint!r} must be within its limits, "
-                    f"{link.lower} to {link.upper} rad"
+                    f"{name}: home={angle} {length} of joint {link.joint!r} must be within its limits, "
+                    f"{link.lower} to {link.upper} {length}"
                 )
 
     @property

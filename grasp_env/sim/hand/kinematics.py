@@ -375,7 +375,7 @@ class HandKinematics:
         if np.linalg.norm(self.tips(free) - targets, axis=1)[members].max() <= core.REACHED:
             turned = free + np.round((angles - free) / (2 * math.pi)) * 2 * math.pi
             beyond = [
-                f"{link.joint} = {turned[joint]:.3f} rad, allowed are {link.lower:.3f} to {link.upper:.3f}"
+                f"{link.joint} = {turned[joint]:.3f} {link.units[0]}, allowed are {link.lower:.3f} to {link.upper:.3f}"
                 for joint, link in enumerate(self.hand.links)
                 if joint in joints
                 and not link.lower - _LIMIT <= turned[joint] <= link.upper + _LIMIT

@@ -33,6 +33,9 @@ SIZES = {
 The length of a capsule is that of its cylinder; its axis is z. A mesh has scale factors.
 """
 
+UNITS = {False: ("rad", "N m"), True: ("m", "N")}
+"""Units of a joint's position and load; the key is True for a sliding joint."""
+
 _NOWHERE: Vector3 = (0.0, 0.0, 0.0)
 
 
@@ -111,11 +114,13 @@ class Mimic:
     offset: float = 0.0
 
     def __post_init__(self) -> None:
-        name = f"mimic of joint {self.joint!r}"
+        name = f"mimic that follows joint {self.joint!r}"
         (ratio,) = numbers((self.ratio,), 1, f"{name}: ratio")
         (offset,) = numbers((self.offset,), 1, f"{name}: offset")
         if ratio == 0.0:
-            raise InvalidInputError(f"{name}: ratio=0.0 does not move the joint; make it fixed")
+            raise InvalidInputError(
+                f"mimic: ratio=0.0 does not move the joint that follows {self.joint!r}; make that joint fixed"
+            )
         _fix(self, joint=word(self.joint, "mimic: joint"), ratio=ratio, offset=offset)
 
     def angle(self, driver: float) -> float:
@@ -174,7 +179,8 @@ class Link:
         _fix(self, name=word(self.name, "link name"))
         name = f"link {self.name!r}"
         _fix(self, parent=word(self.parent, f"{name}: parent"))
-        lower, upper = limits(self.lower, self.upper, f"{name}: joint limits [rad]")
+        length, force = UNITS[bool(self.sliding)]
+        lower, upper = limits(self.lower, self.upper, f"{name}: joint limits [{length}]")
         _fix(
             self,
             origin=numbers(self.origin, 3, f"{name}: origin"),
@@ -182,7 +188,7 @@ class Link:
             axis=unit(self.axis, f"{name}: axis"),
             lower=lower,
             upper=upper,
-            torque_limit=positive(self.torque_limit, f"{name}: torque_limit [N m]"),
+            torque_limit=positive(self.torque_limit, f"{name}: torque_limit [{force}]"),
             mass=positive(self.mass, f"{name}: mass [kg]"),
             center=numbers(self.center, 3, f"{name}: center"),
             inertia=inertia_of(self.inertia, name),
@@ -193,6 +199,11 @@ class Link:
             mimic=instance(self.mimic, Mimic, f"{name}: mimic", or_none=True),
             joint=f"{self.name}_joint" if self.joint == "" else word(self.joint, f"{name}: joint"),
         )
+
+    @property
+    def units(self) -> tuple[str, str]:
+        """Units of the joint's position and load."""
+        return UNITS[self.sliding]
 
 
 @dataclass(frozen=True)

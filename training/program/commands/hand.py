@@ -33,7 +33,7 @@ class Hand:
     Attributes:
         hand: a file (URDF, xacro, MJCF), or the name of a hand: allegro, leap, four_finger, ...
         fingertips: links that touch the object; none: every moving link that ends a branch.
-        torque_limit: torque limit of all joints [N m]; 0: the file's own limits.
+        torque_limit: torque limit of all joints [N m], of sliding joints [N]; 0: the file's own limits.
         palm: palm link, if the file describes an arm or a whole robot.
         xacro_args: values of a xacro file's arguments, NAME=VALUE.
         draw: .png for a picture of the visual shapes beside the collision shapes, the fingertips
@@ -95,7 +95,7 @@ def _joints(hand: HandDescription) -> Table:
     columns = ("joint", "moves", "from", "to", "limit", "coupled to")
     table = make_table(f"{hand.name}: {hand.joint_count} joints", *columns)
     for link in hand.links:
-        length, force = ("m", "N") if link.sliding else ("rad", "N m")
+        length, force = link.units
         ends = ("-", "-")
         if math.isfinite(link.lower):
             ends = (f"{link.lower:.3f} {length}", f"{link.upper:.3f} {length}")

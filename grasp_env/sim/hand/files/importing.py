@@ -115,6 +115,10 @@ class _Importer:
         for reason in dict.fromkeys(file.undrawn.values()):
             names = [name for name, why in file.undrawn.items() if why == reason]
             self.repairs.append(f"visual meshes that {reason} are left out: {names_of(names)}")
+        if bare := [name for name in self._bodies() if self._only_drawn(name)]:
+            self.repairs.append(
+                f"links without collision shapes are drawn and touch nothing: {names_of(bare)}; give them <collision> in the file"
+            )
         self._corners = hulls_of_files(
             shape.file
             for joint in self.moving
@@ -168,6 +172,15 @@ class _Importer:
             for shape in link.visual or link.collision:
                 visual.append(replace(shape.carried(place.frame), color=shape.color or color))
         return tuple(collision), tuple(visual)
+
+    def _bodies(self) -> list[str]:
+        """Return the names of the palm and of the moving links."""
+        return [self.root, *(joint.child for joint in self.moving)]
+
+    def _only_drawn(self, name: str) -> bool:
+        """Return True if a link and all that is fixed to it have visual shapes only."""
+        group = [self.links[other] for other in self._group(name)]
+        return any(link.visual for link in group) and not any(link.collision for link in group)
 
     def _body(self, joint: FileJoint) -> Body:
         carrier, frame = self.places[joint.parent]

@@ -18,7 +18,7 @@ from grasp_env.inputs.arguments import Array
 from grasp_env.sim.hand.files.elements import FileJoint, listed, names_of
 from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.hand.solids import outline
-from grasp_env.sim.hand.tree import Fingertip, Link
+from grasp_env.sim.hand.tree import UNITS, Fingertip, Link
 
 LARGEST_TURN = 3.3  # largest plausible range of a joint [rad]; a hinge folds by half a turn
 # smallest one-sided range [rad], as 0 to pi, that is a placeholder if three joints or more share it
@@ -80,7 +80,7 @@ def _is_wide(joint: FileJoint, others: Sequence[FileJoint]) -> bool:
 def _range(joint: FileJoint) -> str:
     if not math.isfinite(joint.lower):
         return f"{joint.name!r} (unlimited)"
-    unit = "m" if joint.sliding else "rad"
+    unit = UNITS[joint.sliding][0]
     return f"{joint.name!r} ({joint.lower:.3g} to {joint.upper:.3g} {unit})"
 
 

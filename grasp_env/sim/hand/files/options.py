@@ -16,6 +16,7 @@ from grasp_env.sim.hand.inertia import Inertia, inertia_of
 from grasp_env.sim.hand.tips import Ball
 
 T = TypeVar("T")
+_UNITS = "[N m, of sliding joints N]"
 
 
 class Inertial(NamedTuple):
@@ -84,7 +85,7 @@ class HandOptions:
         return balls
 
     def torques(self, joints: Sequence[str], drivers: Mapping[str, str]) -> dict[str, float]:
-        """Return the given torque limits [N m] by moving joint.
+        """Return the given torque limits [N m], or [N] of sliding joints, by moving joint.
 
         `drivers` names the driver of each coupled joint, which has no limit of its own.
         """
@@ -99,16 +100,16 @@ class HandOptions:
                 joints,
                 "torque_limit",
                 "joint",
-                lambda value, what: positive(value, f"{what} [N m]"),
+                lambda value, what: positive(value, f"{what} {_UNITS}"),
             )
         if not isinstance(torques, list | tuple | np.ndarray):
-            return dict.fromkeys(joints, positive(torques, "torque_limit [N m]"))
+            return dict.fromkeys(joints, positive(torques, f"torque_limit {_UNITS}"))
         values = numbers(
-            torques, len(joints), f"torque_limit [N m], one per joint ({names_of(joints)})"
+            torques, len(joints), f"torque_limit {_UNITS}, one per joint ({names_of(joints)})"
         )
         with AllFaults() as check:
             return {
-                name: check(positive, value, f"torque_limit [N m] of {name!r}")
+                name: check(positive, value, f"torque_limit {_UNITS} of {name!r}")
                 for name, value in zip(joints, values, strict=True)
             }
 

@@ -278,7 +278,7 @@ def arrange(part: Part, joints: Sequence[FileJoint]) -> tuple[list[FileJoint], l
         notes.append(f"joints that mimic others that are left out hold still: {names_of(alone)}")
     if stuck:
         notes.append(
-            f"joints with equal limits, lower = upper, hold still: {names_of(stuck)}; give the true ranges as joint_limits="
+            f"joints with equal limits, lower = upper, or a mimic multiplier of 0 hold still: {names_of(stuck)}; give the true ranges as joint_limits="
         )
     return _ordered(part.root, arranged), notes
 

@@ -29,6 +29,7 @@ _MAX_DEPTH = 4  # cuts one after another
 _FINE = 5000  # number of faces above which a mesh is simplified before it is cut
 _GRAINS = 150.0  # number of grid cells along the extent of a simplified mesh
 _SMALLEST, _LARGEST = 1e-5, 5.0  # [m] extent of a mesh
+_PLAUSIBLE = 0.4  # largest extent of a hand's link [m]
 _MAX_FRAGMENTS = 40  # number of connected parts above which a mesh is cut as a whole
 _VISUAL_CORNERS = 256  # of the hull of a visual mesh in which a tip is fitted
 _VISUAL_ERROR = 2e-4  # relative error of that hull
@@ -144,9 +145,9 @@ def convex_pieces(corners: Array, faces: Any) -> list[Array]:
     """
     extent = float(np.ptp(corners, axis=0).max()) if len(corners) else 0.0
     if not _SMALLEST <= extent <= _LARGEST:
+        factor = mesh_shape.scale_advice(extent, _PLAUSIBLE) or "the length of the file's unit [m]"
         raise InvalidInputError(
-            f"the mesh is {extent:.3g} m large, allowed are {_SMALLEST:g} to {_LARGEST:g}; of one in millimetres give "
-            'scale="0.001 0.001 0.001"'
+            f"the mesh is {extent:.3g} m large, allowed are {_SMALLEST:g} to {_LARGEST:g}; multiply scale= of its <mesh> by {factor}"
         )
     hull = hull_of(corners)
     parts = _parts(faces)

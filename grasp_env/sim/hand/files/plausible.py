@@ -48,6 +48,7 @@ LARGEST_HAND = 10.0  # largest plausible mass of all moving links [kg]
 # inertia is wrong; a body inside its shapes has at most 0.5, makers' files have 0.08 to 0.9; a
 # smaller moment may include a rotor
 LARGEST_GYRATION, LEAST_MOMENT = 1.0, 2e-4
+_ROUNDING = 0.01  # relative change of moments that counts as rounding of the file's digits
 LEAST_GYRATION = 0.02  # the same ratio below which the inertia is wrong
 # of links without a plausible mass: density [kg/m^3], smallest mass [kg], smallest side [m] of the
 # box for an inertia
@@ -63,7 +64,7 @@ _CENTER_OUTSIDE = (
 _WRONG_INERTIA = (
     "inertias that links of this size cannot have are replaced by those of boxes around them"
 )
-_NO_INERTIA = "physically impossible inertias are replaced by the nearest possible ones"
+_NO_INERTIA = "principal moments that no body can have are replaced by the nearest possible ones"
 
 
 @dataclass(frozen=True)
@@ -199,9 +200,12 @@ class Judge:
         )
         if inertia is None:
             return inertial
-        changed[_WRONG_INERTIA if wrong else _NO_INERTIA].append(
-            f"{link!r} ({_largest_moment(inertial.inertia):.2g} kg m^2, assumed {_largest_moment(inertia):.2g} kg m^2)"
-        )
+        before = _moments(inertial.inertia)
+        after = _moments(inertia)
+        if max(abs(b - a) for b, a in zip(before, after, strict=True)) > _ROUNDING * max(after):
+            changed[_WRONG_INERTIA if wrong else _NO_INERTIA].append(
+                f"{link!r} ({_listed_moments(before)}, assumed {_listed_moments(after)})"
+            )
         return inertial._replace(inertia=inertia)
 
     def torques(self, given: Mapping[str, float]) -> list[float]:
@@ -321,7 +325,16 @@ def _scaled(inertial: Inertial, factor: float) -> Inertial:
 
 
 def _largest_moment(inertia: Inertia) -> float:
-    return float(np.linalg.eigvalsh(inertia_matrix(inertia))[2])
+    return _moments(inertia)[2]
+
+
+def _moments(inertia: Inertia) -> list[float]:
+    """Return the principal moments [kg m^2], ascending."""
+    return np.linalg.eigvalsh(inertia_matrix(inertia)).tolist()
+
+
+def _listed_moments(moments: Sequence[float]) -> str:
+    return f"{', '.join(f'{moment:.2g}' for moment in moments)} kg m^2"
 
 
 def _distance_outside(center: Vector3, points: Array) -> float:

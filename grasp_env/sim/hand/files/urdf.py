@@ -20,7 +20,7 @@ from grasp_env.sim.hand.files.meshes import PARENTS, find_mesh, unit_of, why_not
 from grasp_env.sim.hand.files.pieces import MeshUse, solids_of
 from grasp_env.sim.hand.frames import IDENTITY, Frame
 from grasp_env.sim.hand.inertia import Inertia
-from grasp_env.sim.hand.tree import Geometry, Mimic
+from grasp_env.sim.hand.tree import UNITS, Geometry, Mimic
 
 MAX_ELEMENTS = 500  # links, and joints, in a file
 MAX_SHAPES = 2000  # collision and visual shapes together
@@ -328,7 +328,14 @@ def _joint(element: Element) -> FileJoint:
         axis = check(_axis, element, where)
         limits = check(_limits, element.find("limit"), kind, where)
         effort = check(_effort, element.find("limit"), where)
-        mimic = check(_mimic, element.find("mimic"), where)
+        coupling = check(_mimic, element.find("mimic"), where)
+    mimic = None
+    if coupling is not None:
+        driver, ratio, offset = coupling
+        if ratio == 0.0:  # `arrange` makes it a fixed joint
+            limits = offset, offset
+        else:
+            mimic = Mimic(driver, ratio, offset)
     return FileJoint(
         name, parent, child, False, origin, rotation, axis, *limits, effort, kind == _SLIDING, mimic
     )
@@ -348,14 +355,15 @@ def _axis(element: Element, where: str) -> Vector3:
 def _limits(limit: Element | None, kind: str, where: str) -> tuple[float, float]:
     if kind == "continuous":
         return -math.inf, math.inf
+    length, force = UNITS[kind == _SLIDING]
     if limit is None:
         raise InvalidInputError(
-            f"{where} has no <limit>; write lower, upper [rad] and effort [N m]"
+            f"{where} has no <limit>; write lower, upper [{length}] and effort [{force}]"
         )
     lower, upper = (_number(limit, key, "0", f"{where}, <limit>") for key in ("lower", "upper"))
     if lower == upper:
         return lower, upper  # `arrange` makes it a fixed joint
-    return limits(lower, upper, f"{where}, <limit> [{'m' if kind == _SLIDING else 'rad'}]")
+    return limits(lower, upper, f"{where}, <limit> [{length}]")
 
 
 def _effort(limit: Element | None, where: str) -> float | None:
@@ -364,7 +372,8 @@ def _effort(limit: Element | None, where: str) -> float | None:
     return _number(limit, "effort", None, where)
 
 
-def _mimic(mimic: Element | None, where: str) -> Mimic | None:
+def _mimic(mimic: Element | None, where: str) -> tuple[str, float, float] | None:
+    """Return the driver of a coupled joint, the ratio and the offset."""
     if mimic is None:
         return None
     inside = f"{where}, <mimic>"
@@ -372,4 +381,4 @@ def _mimic(mimic: Element | None, where: str) -> Mimic | None:
     if not driver.strip():
         raise InvalidInputError(f"{inside} lacks joint=")
     ratio = _number(mimic, "multiplier", "1", inside)
-    return Mimic(driver, ratio, _number(mimic, "offset", "0", inside))
+    return driver, ratio, _number(mimic, "offset", "0", inside)
