@@ -222,7 +222,7 @@ def build_world(client: int, config: SceneConfig, urdf: str, angles: np.ndarray)
     for pair in touching_pairs(config.hand):
         first, second = (-1 if link < 0 else joints[link] for link in pair)
         bullet.setCollisionFilterPair(hand, hand, first, second, 0, physicsClientId=client)
-    return World(hand, create_body(client, config.object, engine.mesh_contacts == "faces"), joints)
+    return World(hand, create_body(client, config.object, engine.mesh_contacts), joints)
 
 
 def min_sweeps(hand: HandDescription) -> int:

@@ -30,13 +30,15 @@ UNDAMPED = dict.fromkeys(
 _Z_TO_Y = (-math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
 
 
-def create_body(client: int, item: ObjectDescription, exact: bool = False) -> int:
+def create_body(client: int, item: ObjectDescription, contacts: str | None = None) -> int:
     """Create an object at the origin, after the hand, and return its body number.
 
-    Contacts with cuboids, spheres and capsules are exact. So are those with a mesh if `exact`: its
-    faces collide instead of its pieces. At other shapes Bullet merges corners within a centimetre:
-    on the round side of a cylinder the normal is off by up to 0.04, the distance by 40 um.
+    Contacts with cuboids, spheres and capsules are exact. So are those with the faces of a mesh;
+    `contacts` is `BulletEngine.mesh_contacts`. At other shapes Bullet merges corners within a
+    centimetre: on the round side of a cylinder the normal is off by up to 0.04, the distance by 40
+    um.
     """
+    exact = item.has_coarse_pieces if contacts is None else contacts == "faces"
     with tempfile.TemporaryDirectory() as folder:
         solid, look = _shapes(item, folder, exact)
         shape = bullet.createCollisionShape(**solid, physicsClientId=client)

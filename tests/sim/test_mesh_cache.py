@@ -20,6 +20,7 @@ from trimesh import creation
 
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim import ObjectDescription, progress
+from grasp_env.sim.bullet_body import create_body
 from grasp_env.sim.objects import cache, mesh, pieces
 from grasp_env.sim.objects.apart import apart
 from grasp_env.sim.objects.cache import cached, clear, entries, folder
@@ -171,7 +172,7 @@ WRONG = [
     ("list {ball}", "belongs to `grasp object show` and `grasp object mend`"),
     ("show {ball} --out a.obj", "--out belongs to `grasp object mend`"),
     ("show {ball} --draw a.jpg", "must end in .png"),
-    ("show {ball} --scale 100", "give --scale 0.001"),
+    ("show {ball} --scale 100", "give --scale 1 if the file is in metres (100 mm large)\n"),
     ("show {ball} --size 1", "size must be an integer >= 16"),
     ("mend nowhere.txt", ".obj, .stl"),
     ("show {ball} --draw /nowhere/a.png", "/nowhere"),
@@ -319,6 +320,15 @@ def fill(x):
     bytearray(200_000_000)
     return {}
 
+def nap(x):
+    import time
+    time.sleep(0.6)
+    return {}
+
+def spin(x):
+    while True:
+        x = x + 1.0
+
 def names():
     return {"names": np.array([*os.environ])}
 """
@@ -330,7 +340,7 @@ def test_work_apart_returns_raises_and_ends(tmp_path, capsys, monkeypatch):
     for task, message in (("crash", "exit code -11"), ("fail", "KeyError: 'inside'")):
         with pytest.raises(ChildProcessError, match=message):
             apart(f"tasks:{task}", "work", 60.0, x=np.arange(3.0))
-    with pytest.raises(TimeoutError, match="more than 0 s"):
+    with pytest.raises(TimeoutError, match=r"more than 0\.4 s"):
         apart("tasks:sleep", "work", 0.4, x=np.arange(3.0))
     assert capsys.readouterr().err == ""  # no terminal
     monkeypatch.setattr(progress, "PATIENCE", 0.05)
@@ -353,19 +363,105 @@ def test_work_apart_has_its_own_memory_and_environment(tmp_path, monkeypatch):
     assert "GRASP_SECRET" in apart("tasks:names", "work", 60.0)["names"]
 
 
+def ring(sections: int = 8) -> tuple[Any, Any]:
+    made = creation.annulus(0.02, 0.04, 0.02, sections=sections)
+    return np.array(made.vertices), np.array(made.faces)
+
+
 def test_vhacd_cuts_what_coacd_crashes_on(monkeypatch):
     tasks: list[str] = []
 
     def crash(name: str, *_: Any, **given: Any) -> Any:
         tasks.append(name.rsplit("_", 1)[1])
-        if tasks[-1] == "coacd" or len(tasks) > 2:
+        if tasks[-1] == "coacd" or len(tasks) > 3:
             raise ChildProcessError("crashed")
         return pieces.by_vhacd(**given)
 
     monkeypatch.setattr(pieces, "apart", crash)
-    ring = creation.annulus(0.02, 0.04, 0.02, sections=8)
-    solid = np.array(ring.vertices), np.array(ring.faces)
-    assert len(pieces.convex_pieces(*solid, "ring")) > 1
-    assert tasks == ["coacd", "vhacd"]
+    assert len(pieces.convex_pieces(*ring(), "ring").corners) > 1
+    assert tasks == ["coacd", "coacd", "vhacd"]
     with pytest.raises(InvalidInputError, match=r"cannot be cut .*crashed.*grasp object mend"):
-        pieces.convex_pieces(*solid, "ring")
+        pieces.convex_pieces(*ring(), "ring")
+
+
+def hull_of_all(corners: Any, faces: Any, concavity: Any) -> dict[str, Any]:
+    """A cut that fills the hollow of a mesh."""
+    return {"points": corners, "counts": np.array([len(corners)])}
+
+
+def test_the_excess_of_pieces_is_measured():
+    """A hull fills the hole of a ring: its middle is 20 mm from the nearest face, and it has the
+    volume of the whole disc, 4 / 3 of the ring's.
+    """
+    corners, faces = ring(64)
+    excess = pieces.measured_excess([corners], corners, faces)
+    # the middle of the top is half of the height from the middle of the hole, which is nearer
+    # to no face than its rim is
+    assert 0.0185 < excess.distance <= 0.02  # of 10,000 points one is near the middle
+    assert excess.volume == pytest.approx(1.0 / 3.0, rel=1e-6)
+
+
+def test_pieces_that_stand_out_are_told_and_faces_collide(tmp_path, monkeypatch, answer):
+    monkeypatch.setattr(
+        pieces, "apart", lambda *_, **given: hull_of_all(given["corners"], given["faces"], 0)
+    )
+    file = save(tmp_path / "ring.obj", *ring(64))
+    with pytest.warns(
+        UserWarning, match=r"stand out by up to (19|20)\.\d mm and have 33% more volume"
+    ):
+        item = ObjectDescription.from_mesh(file, mass=0.1)
+    assert item.has_coarse_pieces
+    code, told = answer("show", file)
+    assert (code, told["pieces"], told["parts"]) == (0, 1, 1)
+    assert 0.0185 < told["pieces_stand_out"] <= 0.02
+    assert told["pieces_volume_share"] == pytest.approx(1.0 / 3.0, rel=1e-6)
+    # the default of Bullet: the middle of the hole touches nothing
+    client = pytest.importorskip("pybullet").connect(2)
+    try:
+        for contacts, inside in ((None, False), ("pieces", True), ("faces", False)):
+            assert _touches_middle(client, item, contacts) == inside
+    finally:
+        pytest.importorskip("pybullet").disconnect(client)
+
+
+def _touches_middle(client: int, item: ObjectDescription, contacts: str | None) -> bool:
+    """True if a ball of 5 mm in the middle of an object touches it."""
+    bullet = pytest.importorskip("pybullet")
+    body = create_body(client, item, contacts)
+    ball = bullet.createMultiBody(
+        1.0,
+        bullet.createCollisionShape(bullet.GEOM_SPHERE, radius=0.005, physicsClientId=client),
+        physicsClientId=client,
+    )
+    found = bullet.getClosestPoints(body, ball, 0.0, physicsClientId=client)
+    for made in (body, ball):
+        bullet.removeBody(made, physicsClientId=client)
+    return bool(found)
+
+
+def test_what_a_time_limit_made_is_not_kept(tmp_path, monkeypatch):
+    runs: list[str] = []
+
+    def late(name: str, *_: Any, **given: Any) -> Any:
+        runs.append(name.rsplit("_", 1)[1])
+        if runs[-1] == "coacd":
+            raise TimeoutError("it took more than 30 s")
+        return pieces.by_vhacd(**given)
+
+    monkeypatch.setattr(pieces, "apart", late)
+    file = save(tmp_path / "ring.obj", *ring())
+    for _ in range(2):
+        mesh._load.cache_clear()
+        mesh.load_mesh(file, 1.0, tell=False)
+    assert runs == ["coacd", "coacd", "vhacd"] * 2
+    assert entries() == []
+
+
+def test_processor_time_is_limited_not_the_time_of_a_run(tmp_path, monkeypatch):
+    (tmp_path / "tasks.py").write_text(TASKS)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert apart("tasks:nap", "work", 0.2, x=np.arange(3.0)) == {}
+    begun = time.monotonic()
+    with pytest.raises(TimeoutError, match="more than 1 s"):
+        apart("tasks:spin", "work", 1.0, x=np.arange(3.0))
+    assert time.monotonic() - begun < 10.0

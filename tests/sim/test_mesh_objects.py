@@ -347,3 +347,40 @@ def test_a_hand_holds_it(made, engine):
             np.radians(2.0)
         )
         assert info["is_success"], info
+
+
+def test_parts_that_are_not_connected_are_told(tmp_path):
+    two = together(box(), box(at=(0.1, 0.0, 0.0)))
+    item, told = load(tmp_path, two, mass=0.1)
+    assert "has 2 parts that are not connected: they are held and move as one rigid body" in told
+    assert item.extent[0] == pytest.approx(0.16)
+    hollow = together(box(), Trimesh(0.5 * box().vertices, box().faces[:, ::-1], process=False))
+    assert load(tmp_path, hollow, mass=0.1)[1] == ""  # a cavity is no part
+
+
+def test_a_missing_mass_is_told(tmp_path):
+    item, told = load(tmp_path, box())
+    assert item.mass == 0.2
+    assert (
+        "neither mass nor density is given, 0.2 kg is assumed; give mass= [kg] or density=" in told
+    )
+
+
+@pytest.mark.parametrize(
+    ("size", "words"),
+    [
+        (60.0, "0.001 if the file is in millimetres (60 mm large)"),
+        (
+            6.0,
+            "0.01 if the file is in centimetres (60 mm large), 0.0254 if the file is in inches (152 mm large)",
+        ),
+        # in millimetres it would be 5 m large
+        (5000.0, "are its factor to metres, choose another"),
+    ],
+)
+def test_a_fitting_scale_is_proposed(tmp_path, size, words):
+    box(size, size, size).export(tmp_path / "a.stl")
+    with pytest.raises(InvalidInputError) as told:
+        ObjectDescription.from_mesh(tmp_path / "a.stl", mass=0.1)
+    assert "scale= of `from_mesh` and size=" in str(told.value)
+    assert words in str(told.value)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import subprocess
@@ -19,6 +20,14 @@ import numpy as np
 from grasp_env.inputs.arguments import Array
 from grasp_env.sim.progress import ProgressLine
 
+try:
+    import resource
+except ImportError:  # not on Windows
+    resource = None
+
+# number of the signal that ends a process at its limit of processor time; 0 on Windows
+_OVERTIME = int(getattr(signal, "SIGXCPU", 0))
+_IDLE = 10.0  # longest time of a run over its processor time, as on a busy machine
 # variables without which some Pythons do not start
 _NEEDED = ("LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "PYTHONHOME")
 
@@ -37,7 +46,9 @@ def apart(
     Args:
         task: The function, as "module:function"; it takes and returns arrays by name.
         text: Description of the task on the progress line.
-        seconds: Longest time [s].
+        seconds: Most processor time, of all threads together [s]. The run ends after ten times as
+            long in any case. Where processor time cannot be limited, `seconds` limits the time of
+            the run.
         memory: Largest memory that the function may take [bytes]; 0: any.
         variables: The environment of the process, besides what Python needs to start; None: that of
             this process.
@@ -71,6 +82,8 @@ def apart(
             finally:
                 child.kill()
                 child.wait()
+            if _OVERTIME and child.returncode == -_OVERTIME:
+                raise TimeoutError(_too_long(seconds))
             if child.returncode != 0:
                 output.seek(0)
                 text = output.read()[-500:].decode(errors="replace")
@@ -85,7 +98,7 @@ def _load_arrays(folder: str, name: str) -> dict[str, Any]:
 
 def _wait(child: subprocess.Popen[bytes], text: str, seconds: float) -> None:
     """Wait until the process ends, with a progress line."""
-    end = time.monotonic() + seconds
+    end = time.monotonic() + _longest_run(seconds)
     with ProgressLine() as line:
         while True:
             try:
@@ -94,7 +107,16 @@ def _wait(child: subprocess.Popen[bytes], text: str, seconds: float) -> None:
             except subprocess.TimeoutExpired:
                 line.write(text)
             if time.monotonic() > end:
-                raise TimeoutError(f"it took more than {seconds:.0f} s")
+                raise TimeoutError(_too_long(seconds))
+
+
+def _too_long(seconds: float) -> str:
+    return f"it took more than {seconds:.3g} s"
+
+
+def _longest_run(seconds: float) -> float:
+    """Return the longest time of a run [s]."""
+    return seconds if resource is None else _IDLE * seconds
 
 
 def work() -> None:
@@ -105,21 +127,29 @@ def work() -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     task, folder, seconds, memory = sys.argv[1:]
     if hasattr(signal, "alarm"):  # not on Windows
-        signal.alarm(int(float(seconds)) + 1)
+        signal.alarm(int(_longest_run(float(seconds))) + 1)
     module, _, function = task.partition(":")
     run = getattr(import_module(module), function)
     arrays = _load_arrays(folder, "input.npz")
     _limit_memory(int(memory))
+    _limit_time(float(seconds))
     np.savez(Path(folder, "output.npz"), **run(**arrays))
 
 
 def _limit_memory(more: int) -> None:
     """Let this process take `more` memory than it has now [bytes]; 0: no limit."""
-    if more == 0:
+    if more == 0 or resource is None:
         return
-    with suppress(ImportError, ValueError, OSError):  # not on Windows and macOS
-        import resource
-
+    with suppress(ValueError, OSError):  # not on macOS
         pages = int(Path("/proc/self/statm").read_text().split()[0])
         limit = pages * resource.getpagesize() + more
         resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+
+
+def _limit_time(more: float) -> None:
+    """Let this process take `more` processor time than it has taken [s], in whole seconds."""
+    if resource is None:
+        return
+    limit = math.ceil(time.process_time() + more)
+    with suppress(ValueError, OSError):  # a lower limit holds already
+        resource.setrlimit(resource.RLIMIT_CPU, (limit, limit + 1))

@@ -40,12 +40,16 @@ def folder() -> Path:
 
 
 def cached(
-    key: str, name: str, make: Callable[[], dict[str, Any]], use: str = "object"
+    key: str,
+    name: str,
+    make: Callable[[], dict[str, Any]],
+    use: str = "object",
+    keep: Callable[[dict[str, Any]], bool] = lambda _: True,
 ) -> dict[str, Any]:
     """Return the arrays that `make` returns, from the cache if it has them.
 
     The key, of letters and digits, identifies the content. Name and use ("object" or "hand") of the
-    mesh are for the list of entries. A folder that cannot be written or an entry that cannot be
+    mesh are for the list of entries. `keep` decides if what was made is kept. A folder that cannot be written or an entry that cannot be
     read only costs time.
     """
     if arrays := lookup(key):
@@ -55,6 +59,8 @@ def cached(
         if arrays := lookup(key):  # made by the process that was waited for
             return arrays
         arrays = make()
+        if not keep(arrays):
+            return arrays
         with suppress(OSError), replacing(path) as temporary, open(temporary, "wb") as file:
             np.savez(file, **{**arrays, "name": np.array(name), "use": np.array(use)})
     return arrays

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,8 @@ from grasp_env.sim.mesh_shape import (
 
 _SEAM = 1e-5  # distance within which corners of open seams are merged, relative to the extent
 _MIN_VOLUME = 1e-6  # least volume of a solid, relative to the cube of its extent
+_BOTH = 0.5  # share of the faces that walls leave below which a mesh has two-sided faces
+_HOLE = 0.1  # largest extent of a small hole, relative to the extent
 _WALLS = "duplicate faces and faces back to back were dropped"
 _FLAT_VOLUME = 1e-12  # volume below which a part is only faces back to back, relative to that cube
 _SAME_ANGLE = 1e-6  # angle below which faces lie back to back [rad]
@@ -32,16 +35,20 @@ def close_mesh(corners: Array, faces: Any, name: str) -> tuple[Array, Any, list[
     """Return the corners (V, 3) and faces (F, 3) of a closed solid, and a list of the repairs.
 
     Coincident corners and faces are merged. Then, until the mesh is closed, trimesh orients faces
-    alike, seams are welded, and trimesh fills holes. Manifold unites overlapping parts; a part
-    inside out within another is a cavity.
+    alike, seams are welded, and trimesh fills holes; small ones that it leaves are filled by fans.
+    Manifold unites overlapping parts; a part inside out within another is a cavity.
     """
     extent = extent_of(corners)
     corners, faces = weld(corners, faces, WELD * extent)
     changes: list[str] = []
-    count = len(faces)
-    faces = _without_walls(faces)
-    if len(faces) < count:
+    single = _without_walls(faces)
+    if len(single) < len(faces):
         changes.append(_WALLS)
+    distinct = _distinct(faces)
+    if len(single) < _BOTH * len(distinct):  # walls all over: every face looks both ways
+        single = distinct
+        changes[:] = ["of faces that look both ways one was kept"]
+    faces = single
     if open_edges(faces):
         corners, faces = _repaired(corners, faces, extent, changes)
     if count := open_edges(faces):
@@ -75,13 +82,57 @@ def _repaired(corners: Array, faces: Any, extent: float, changes: list[str]) -> 
         count = len(mesh.faces) - before
         return f"holes were filled with {count} faces" if count > 0 else ""
 
+    def fill_loops(mesh: Any) -> str:
+        added = _loop_fillings(np.asarray(mesh.vertices), np.asarray(mesh.faces), extent)
+        if len(added):
+            mesh.faces = np.concatenate([mesh.faces, added])
+        return f"small holes were filled with {len(added)} faces" if len(added) else ""
+
     mesh = trimesh.Trimesh(corners, faces, process=False)
-    for repair in (turn, weld_seams, fill, turn):
+    for repair in (turn, weld_seams, fill, turn, fill_loops):
         if change := repair(mesh):
             changes.append(change)
         if not open_edges(np.asarray(mesh.faces)):
             break
     return np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces, dtype=np.int64)
+
+
+def _distinct(faces: Any) -> Any:
+    """Keep one of the faces on the same corners."""
+    first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)[1]
+    return faces[np.sort(first)]
+
+
+def _loop_fillings(corners: Array, faces: Any, extent: float) -> Any:
+    """Return faces (F, 3) that fill all loops of open edges; none if a loop is larger than `_HOLE`.
+
+    The sides of faces without a partner that runs the opposite way form loops, also where more than
+    two faces meet.
+    """
+    sides = sides_of(faces)
+    pairs, number = numbered(sides)
+    forward = sides[:, 0] < sides[:, 1]
+    surplus = np.bincount(number, np.where(forward, 1.0, -1.0)).astype(int)
+    after: dict[int, list[int]] = {}  # the corners to which a missing side runs from each corner
+    for (low, high), count in zip(pairs[surplus != 0].tolist(), surplus[surplus != 0], strict=True):
+        start, end = (high, low) if count > 0 else (low, high)
+        after.setdefault(start, []).extend([end] * abs(int(count)))
+    added: list[tuple[int, int, int]] = []
+    for start in list(after):
+        while after[start]:
+            path = [start]
+            while len(path) == 1 or path[-1] != start:
+                path.append(after[path[-1]].pop())
+                if path[-1] in path[:-1]:
+                    first = path.index(path[-1])
+                    loop = path[first:-1]
+                    if np.ptp(corners[loop], axis=0).max() > _HOLE * extent:
+                        return np.empty((0, 3), np.int64)
+                    added += [(loop[0], *side) for side in pairwise(loop[1:])]
+                    path = path[: first + 1]
+                    if first == 0:
+                        break
+    return np.array(added, np.int64).reshape(-1, 3)
 
 
 def _without_walls(faces: Any) -> Any:

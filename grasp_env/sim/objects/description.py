@@ -13,14 +13,16 @@ from numpy.typing import NDArray
 
 from grasp_env import core
 from grasp_env.errors import InvalidInputError, shown
-from grasp_env.inputs.arguments import Array, as_array
+from grasp_env.inputs.arguments import Array, as_array, warn
 from grasp_env.inputs.files import as_path
 from grasp_env.inputs.ranges import Range
 from grasp_env.settings import POSITIVE, Kind, Settings, one_of, placed, real, setting
 from grasp_env.sim.hand.check import numbers
+from grasp_env.sim.mesh_shape import scale_advice
 from grasp_env.sim.objects.mesh import Mesh, load_mesh
 
 SMALLEST, LARGEST = 0.001, 1.0  # smallest and largest extent of an object along each axis [m]
+GRASPABLE = 0.4  # largest extent of an object for which a scale is suggested [m]
 OBJECT_COLOR = (0.86, 0.80, 0.68)  # in pictures: red, green and blue in [0, 1]
 SIZES = {
     "cuboid": ("x", "y", "z"),
@@ -39,6 +41,7 @@ _DEFAULTS = {
     "capsule": (0.07, 0.1),
     "mesh": (1.0,),
 }
+_DEFAULT_MASS = 0.2  # [kg]
 _MAX_MASS, _MAX_FRICTION = 1000.0, 10.0  # [kg], [1]; more is a mistake of units
 
 
@@ -88,7 +91,9 @@ class ObjectDescription(Settings):
         unit="m",
         random=True,
     )
-    mass: float = setting(0.2, real(Range(1e-9, _MAX_MASS)), "Mass.", unit="kg", random=True)
+    mass: float = setting(
+        _DEFAULT_MASS, real(Range(1e-9, _MAX_MASS)), "Mass.", unit="kg", random=True
+    )
     friction: float = setting(
         0.4,
         real(Range(1e-9, _MAX_FRICTION)),
@@ -137,7 +142,7 @@ class ObjectDescription(Settings):
         Args:
             path: Path of an .obj, .stl, .ply, .off, .glb or .dae of up to 200,000 faces.
             scale: Factor from its coordinates to metres, 0.001 for a file in millimetres.
-            density: Density [kg/m^3]; None to use `mass` or its default.
+            density: Density [kg/m^3]; None to use `mass`, or 0.2 kg with a warning.
             settings: Other fields, such as `friction`.
 
         Raises:
@@ -162,6 +167,10 @@ class ObjectDescription(Settings):
                 )
             volume = load_mesh(settings["mesh"], factor, tell=False).volume
             settings["mass"] = real(POSITIVE).take(density, "density") * volume
+        elif "mass" not in settings:
+            warn(
+                f"mesh={file!r}: neither mass nor density is given, {_DEFAULT_MASS:g} kg is assumed; give mass= [kg] or density= [kg/m^3]"
+            )
         return cls(**settings)
 
     def agree(self) -> None:
@@ -182,8 +191,11 @@ class ObjectDescription(Settings):
                 "exchange them or use a cylinder"
             )
         hint = "sizes are in metres"
-        scale = "; give the scale of the file in size=(0.001,) if it is in millimetres"
-        check_extent(self.extent, self.shape, hint + scale if self.mesh else hint, hint)
+        if self.mesh is not None:
+            name = "scale= of `from_mesh` and size= are its factor to metres"
+            fitting = scale_advice(max(self.extent) / self.size[0], GRASPABLE)
+            hint = f"{name}: {fitting}" if fitting else f"{name}, choose another"
+        check_extent(self.extent, self.shape, hint)
 
     def replaced(self, changes: Mapping[str, Any], path: str = "") -> ObjectDescription:
         """Return a copy with some settings replaced.
@@ -256,6 +268,11 @@ class ObjectDescription(Settings):
         return self._required_mesh.pieces
 
     @property
+    def has_coarse_pieces(self) -> bool:
+        """True if the pieces of a mesh stand out too far for collisions."""
+        return self._mesh is not None and self._mesh.coarse
+
+    @property
     def _required_mesh(self) -> Mesh:
         if self._mesh is None:
             raise InvalidInputError(f"a {self.shape} has no faces; only shape 'mesh' has")
@@ -273,12 +290,12 @@ def sides_text(extent: Sequence[float]) -> str:
     return f"{' x '.join(f'{side:.3g}' for side in extent)} m"
 
 
-def check_extent(extent: Sequence[float], shape: str, too_large: str, too_small: str) -> None:
-    """Raise unless sides [m] are allowed, with a hint for each case."""
+def check_extent(extent: Sequence[float], shape: str, hint: str) -> None:
+    """Raise unless sides [m] are allowed; the hint says what to change."""
     if not (min(extent) >= SMALLEST and max(extent) <= LARGEST):
         raise InvalidInputError(
             f"the {shape} measures {sides_text(extent)}, allowed are {SMALLEST:g} to {LARGEST:g} m each way; "
-            f"{too_large if max(extent) > LARGEST else too_small}"
+            f"{hint}"
         )
 
 

@@ -13,10 +13,14 @@ from grasp_env.errors import InvalidInputError, shown
 from grasp_env.inputs.arguments import Array, warn
 from grasp_env.inputs.files import digest
 from grasp_env.sim.mesh_files import KINDS
+from grasp_env.sim.mesh_shape import connected_parts, volume
 from grasp_env.sim.objects.cache import cached
+from grasp_env.sim.objects.pieces import FAR, Excess, convex_pieces
 from grasp_env.sim.objects.reading import open_mesh, read_mesh
 
-_VERSION = "6"  # part of the cache's key: increase it when the processed arrays change
+_VERSION = "8"  # part of the cache's key: increase it when the processed arrays change
+NEAR, THIN = 0.003, 0.1
+"""Excess distance [m] and volume of the pieces above which a warning gives both."""
 # relative difference of moments, or product of inertia, below which axes are not distinguished
 _SAME_MOMENT = 1e-6
 
@@ -33,6 +37,13 @@ class Mesh(NamedTuple):
     volume: float  # [m^3]
     extent: tuple[float, float, float]  # sides of its bounding box [m]
     changes: tuple[str, ...]  # descriptions of the repairs that closed it
+    parts: int  # number of solids that are not connected
+    excess: Excess  # of the pieces; the distance in [m]
+
+    @property
+    def coarse(self) -> bool:
+        """True if the pieces stand out too far for collisions."""
+        return self.excess.distance > FAR * max(self.extent)
 
 
 def load_mesh(path: str, scale: float, tell: bool = True) -> Mesh:
@@ -58,7 +69,30 @@ def load_mesh(path: str, scale: float, tell: bool = True) -> Mesh:
         warn(
             f"{name} was repaired: {'; '.join(mesh.changes)}. `grasp object show FILE --draw PICTURE` shows the result"
         )
+    if mesh.parts > 1 and tell:
+        warn(
+            f"{name} has {mesh.parts} parts that are not connected: they are held and move as one rigid body; give other objects files of "
+            "their own"
+        )
+    if tell and (excess := pieces_stand_out(mesh)):
+        warn(f"{name}: {excess}")
     return mesh
+
+
+def pieces_stand_out(mesh: Mesh) -> str:
+    """Return a sentence on convex pieces that stand far out of a mesh, or ""."""
+    distance, volume = mesh.excess
+    if distance <= NEAR and volume <= THIN:
+        return ""
+    contacts = (
+        "Bullet collides with the faces instead (mesh_contacts)"
+        if mesh.coarse
+        else "for exact contacts use Bullet with mesh_contacts='faces'"
+    )
+    return (
+        f"its convex pieces stand out by up to {1e3 * distance:.1f} mm and have {volume:.0%} more volume. Fingers keep away from them; {contacts}, "
+        "and MuJoCo always collides with the pieces"
+    )
 
 
 @lru_cache(maxsize=16)
@@ -66,7 +100,12 @@ def _load(path: str, scale: float, _changed: int, _bytes: int, name: str) -> Mes
     """Read and process a mesh; `_changed` and `_bytes` make `lru_cache` notice a changed file."""
     file = open_mesh(path, name)
     key = digest(_VERSION.encode(), file.kind.encode(), file.content)
-    arrays = cached(key, os.path.basename(path), lambda: _processed(*read_mesh(file), name))
+    arrays = cached(
+        key,
+        os.path.basename(path),
+        lambda: _processed(*read_mesh(file), name),
+        keep=lambda made: bool(made["in_time"]),
+    )
     vertices = np.ascontiguousarray(scale * arrays["vertices"])
     pieces = scale * arrays["pieces"]
     for array in (vertices, arrays["faces"], pieces):  # shared by all objects of this file
@@ -82,13 +121,14 @@ def _load(path: str, scale: float, _changed: int, _bytes: int, name: str) -> Mes
         scale**3 * float(arrays["volume"]),
         (x, y, z),
         tuple(arrays["changes"].tolist()),
+        int(arrays["parts"]),
+        Excess(scale * float(arrays["excess"][0]), float(arrays["excess"][1])),
     )
 
 
 def _processed(corners: Array, faces: Any, name: str) -> dict[str, Any]:
     """Close, measure and cut a mesh, in the file's units."""
     from grasp_env.sim.objects.closing import close_mesh
-    from grasp_env.sim.objects.pieces import convex_pieces
 
     corners, faces, changes = close_mesh(corners, faces, name)
     body = _centred(corners, faces)
@@ -97,14 +137,22 @@ def _processed(corners: Array, faces: Any, name: str) -> dict[str, Any]:
         raise InvalidInputError(
             f"{name} has impossible moments of inertia, as its faces cross; repair it with `grasp object mend FILE`, or remesh it"
         )
-    pieces = convex_pieces(body["vertices"], faces, name)
+    pieces, excess, in_time = convex_pieces(body["vertices"], faces, name)
     return {
         **body,
         "faces": faces,
         "pieces": np.concatenate(pieces),
         "counts": np.array([len(piece) for piece in pieces]),
         "changes": np.array(changes, dtype=np.str_),
+        "excess": np.array(excess),
+        "in_time": np.array(in_time),
+        "parts": np.array(_count_solids(body["vertices"], faces)),
     }
+
+
+def _count_solids(corners: Array, faces: Any) -> int:
+    """Return the number of connected parts, without cavities."""
+    return sum(volume(corners, part) > 0.0 for part in connected_parts(faces))
 
 
 def _centred(corners: Array, faces: Any) -> dict[str, Any]:

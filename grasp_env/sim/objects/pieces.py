@@ -2,72 +2,154 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from grasp_env.errors import InvalidInputError
 from grasp_env.inputs.arguments import Array
-from grasp_env.sim.mesh_shape import reduce_hull, volume
+from grasp_env.sim.mesh_shape import extent_of, reduce_hull, volume
 from grasp_env.sim.objects.apart import apart
 
 CONVEX = 1e-3  # share of its hull's volume that a mesh may lack and still count as convex
-CONCAVITY = 0.03
-"""Largest concavity of a piece in CoACD: about how far it may protrude, over half the mesh's size."""
-MAX_PIECES = 32  # of a connected mesh
+MAX_PIECES = 64  # of a connected mesh
 MAX_CORNERS = 256  # of a piece: the faces of a ball of 66 mm are then within 0.7 mm
 FINE = 2e-4  # distance by which omitted corners may stand out of a piece, relative to its size
-LONGEST = 60.0  # longest time to cut a mesh [s]; 1 to 12 s are usual
-_MAX_CUT_FACES = 5000  # faces, above which a mesh is simplified before it is cut
-# a third of CoACD's default search; preprocessing would add a shell of a hundredth of the size
-_SEARCH = {"mcts_iterations": 60, "mcts_max_depth": 2, "resolution": 1000, "preprocess_mode": "off"}
+LONGEST = 30.0
+"""Most processor time of one cut [s]; 1 to 10 s are usual."""
+FAR = 0.1
+"""Excess distance over the size of the mesh above which a finer cut is tried."""
+# greedy cuts: a search two cuts ahead takes up to ten times as long and is hardly better;
+# preprocessing would add a shell of a hundredth of the size
+_SEARCH = {"mcts_iterations": 30, "mcts_max_depth": 1, "resolution": 1000, "preprocess_mode": "off"}
+_SAMPLES = 10_000  # points of the pieces' surface at which the excess is measured
 
 
-def convex_pieces(corners: Array, faces: Any, name: str) -> list[Array]:
-    """Cut a mesh into convex pieces with corners (K, 3); a convex mesh is one piece.
+class Cut(NamedTuple):
+    """A way to cut a mesh."""
 
-    CoACD (Wei et al. 2022) cuts it, or V-HACD if that fails. The pieces contain all corners of the
-    mesh, except for what `MAX_CORNERS` leaves out. In hollows they protrude from the mesh by a few
-    hundredths of its size.
+    task: str  # function of this module
+    faces: int  # number to which the mesh is simplified
+    concavity: (
+        float  # largest one of a piece: about how far it protrudes, over half the mesh's size
+    )
+    if_none: bool  # only if no other cut succeeds
+
+
+CUTS = (
+    Cut("by_coacd", 2000, 0.04, if_none=False),
+    Cut("by_coacd", 4000, 0.02, if_none=False),
+    Cut("by_vhacd", 4000, 0.02, if_none=True),
+)
+"""Cuts that are tried in turn, until the pieces stand out by at most `FAR`."""
+
+
+class Excess(NamedTuple):
+    """How far convex pieces stand out of their mesh."""
+
+    distance: float  # largest one from the mesh to the surface of the pieces
+    volume: float  # that the pieces have more than the mesh, as a share of the mesh's
+
+
+class Pieces(NamedTuple):
+    """Convex pieces of a mesh."""
+
+    corners: list[Array]  # (K, 3) of each piece
+    excess: Excess
+    in_time: bool = True  # False if a cut exceeded its time, which other machines may finish
+
+
+def convex_pieces(corners: Array, faces: Any, name: str) -> Pieces:
+    """Cut a mesh into convex pieces; a convex mesh is one piece.
+
+    CoACD (Wei et al. 2022) cuts it. If the pieces stand out by more than `FAR`, it cuts once more
+    and finer, and V-HACD if CoACD fails; the pieces that stand out least are kept. They contain
+    all corners of the mesh, except for what `MAX_CORNERS` leaves out.
     """
     from scipy.spatial import ConvexHull
 
     hull = ConvexHull(corners)
     if volume(corners, faces) >= (1.0 - CONVEX) * hull.volume:
-        return [reduce_hull(corners[hull.vertices], MAX_CORNERS, FINE)]
-    coarse = _simplified(corners, faces)
+        whole = [reduce_hull(corners[hull.vertices], MAX_CORNERS, FINE)]
+        return Pieces(whole, Excess(0.0, 0.0))
+    best: Pieces | None = None
+    in_time = True
     reason = ""
-    for task in ("by_coacd", "by_vhacd"):
+    for cut in CUTS:
+        if best and (cut.if_none or best.excess.distance <= FAR * extent_of(corners)):
+            break
         try:
-            text = f"{name}: cutting it into convex pieces, once for this content"
-            cut = apart(f"{__name__}:{task}", text, LONGEST, corners=coarse[0], faces=coarse[1])
-        except (TimeoutError, ChildProcessError) as error:
+            pieces = _cut(corners, faces, name, cut)
+        except TimeoutError as error:
+            in_time = False
+            reason = str(error)
+            continue
+        except ChildProcessError as error:
             # CoACD crashes or never ends if faces cross, and is not available on every machine
             reason = str(error).strip().rsplit("\n", 1)[-1]
             continue
-        ends = np.cumsum(cut["counts"].astype(int))[:-1]
-        if pieces := _covering(np.split(cut["points"], ends), corners):
-            return pieces
-    raise InvalidInputError(
-        f"{name} cannot be cut into convex pieces ({reason or 'none was found'}). Where its faces cross, repair it with "
-        "`grasp object mend FILE`, or remesh it"
+        if not pieces:
+            continue
+        excess = measured_excess(pieces, corners, faces)
+        if best is None or excess.distance < best.excess.distance:
+            best = Pieces(pieces, excess)
+    if best is None:
+        raise InvalidInputError(
+            f"{name} cannot be cut into convex pieces ({reason or 'none was found'}). Where its faces cross, repair it with "
+            "`grasp object mend FILE`, or remesh it"
+        )
+    return best._replace(in_time=in_time)
+
+
+def _cut(corners: Array, faces: Any, name: str, cut: Cut) -> list[Array]:
+    points, triangles = _simplified(corners, faces, cut.faces)
+    packed = apart(
+        f"{__name__}:{cut.task}",
+        f"{name}: cutting it into convex pieces, once for this content",
+        LONGEST,
+        corners=points,
+        faces=triangles,
+        concavity=np.array(cut.concavity),
     )
+    ends = np.cumsum(packed["counts"].astype(int))[:-1]
+    return _covering(np.split(packed["points"], ends), corners)
 
 
-def by_coacd(corners: Array, faces: Any) -> dict[str, Array]:
+def measured_excess(pieces: Sequence[Array], corners: Array, faces: Any) -> Excess:
+    """Measure how far pieces (K, 3) stand out of a closed mesh, at points of their surface."""
+    import manifold3d
+    import trimesh
+
+    from grasp_env import core
+
+    hulls = [manifold3d.Manifold.hull_points(np.ascontiguousarray(piece)) for piece in pieces]
+    union = manifold3d.Manifold.batch_boolean(hulls, manifold3d.OpType.Add)
+    mesh = union.to_mesh64()
+    surface = trimesh.Trimesh(
+        np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts), process=False
+    )
+    points = trimesh.sample.sample_surface(surface, _SAMPLES, seed=0)[0]
+    solid = core.Surface.mesh(corners, faces.astype(float), list(pieces))
+    distance = max(solid.nearest(point)[2] for point in np.vstack([surface.vertices, points]))
+    inside = volume(corners, faces)
+    return Excess(max(0.0, distance), max(0.0, union.volume() / inside - 1.0))
+
+
+def by_coacd(corners: Array, faces: Any, concavity: Array) -> dict[str, Array]:
     """Cut a mesh by CoACD; return "points" (P, 3) of all pieces, and "counts" (N,) for each piece."""
     import coacd
 
     coacd.set_log_level("error")
     mesh = coacd.Mesh(corners, faces)
     return _packed(
-        coacd.run_coacd(mesh, threshold=CONCAVITY, max_convex_hull=MAX_PIECES, **_SEARCH)
+        coacd.run_coacd(mesh, threshold=float(concavity), max_convex_hull=MAX_PIECES, **_SEARCH)
     )
 
 
-def by_vhacd(corners: Array, faces: Any) -> dict[str, Array]:
-    """Cut a mesh by V-HACD 4, with the same result as `by_coacd`."""
+def by_vhacd(corners: Array, faces: Any, concavity: Array) -> dict[str, Array]:
+    """Cut a mesh by V-HACD 4, which knows no concavity, with the same result as `by_coacd`."""
     import vhacdx
 
     options = {"maxConvexHulls": MAX_PIECES, "maxNumVerticesPerCH": 64}
@@ -82,8 +164,8 @@ def _packed(meshes: list[Any]) -> dict[str, Array]:
     }
 
 
-def _simplified(corners: Array, faces: Any) -> tuple[Array, Any]:
-    if len(faces) <= _MAX_CUT_FACES:
+def _simplified(corners: Array, faces: Any, most: int) -> tuple[Array, Any]:
+    if len(faces) <= most:
         return corners, faces
     import fast_simplification
 
@@ -91,7 +173,7 @@ def _simplified(corners: Array, faces: Any) -> tuple[Array, Any]:
     size = float(np.ptp(corners, axis=0).max())
     unit = ((corners - middle) / size).astype(np.float32)
     points, triangles = fast_simplification.simplify(
-        unit, faces.astype(np.int32), target_count=_MAX_CUT_FACES
+        unit, faces.astype(np.int32), target_count=most
     )[:2]
     return np.asarray(points, dtype=float) * size + middle, np.asarray(triangles, dtype=np.int32)
 

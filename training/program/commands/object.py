@@ -93,8 +93,9 @@ class Object:
     def _show(self) -> tuple[dict[str, Any], list[Any]]:
         from grasp_env.inputs.arguments import whole
         from grasp_env.settings import POSITIVE, real
+        from grasp_env.sim.mesh_shape import scale_advice
         from grasp_env.sim.objects.cache import folder
-        from grasp_env.sim.objects.description import check_extent
+        from grasp_env.sim.objects.description import GRASPABLE, check_extent
         from grasp_env.sim.objects.mesh import load_mesh
         from grasp_env.sim.picture.portrait import mesh_portrait
 
@@ -103,12 +104,8 @@ class Object:
         with warnings.catch_warnings(record=True) as repairs:
             warnings.simplefilter("always")
             mesh = load_mesh(str(self.file), real(POSITIVE).take(self.scale, "scale"))
-        check_extent(
-            mesh.extent,
-            "mesh",
-            "give --scale 0.001 if the file is in millimetres",
-            "give another --scale",
-        )
+        fitting = scale_advice(max(mesh.extent) / self.scale, GRASPABLE)
+        check_extent(mesh.extent, "mesh", f"give --scale {fitting or 'another number'}")
         if self.draw is not None:
             save_picture(mesh_portrait(mesh, self.size), self.draw)
         facts = {
@@ -117,7 +114,10 @@ class Object:
             "extent": mesh.extent,
             "volume": mesh.volume,
             "center": mesh.center,
+            "parts": mesh.parts,
             "pieces": len(mesh.pieces),
+            "pieces_stand_out": mesh.excess.distance,
+            "pieces_volume_share": mesh.excess.volume,
             "repaired": [str(warning.message) for warning in repairs],
             "kept_in": folder() if os.access(folder(), os.W_OK) else None,
             "picture": self.draw,
@@ -175,7 +175,10 @@ def _shown_page(facts: dict[str, Any]) -> list[Any]:
         "centre of mass in the file, mm",
         " ".join(f"{round(1e3 * value, 1) + 0.0:.1f}" for value in facts["center"]),
     )
+    table.add_row("parts that are not connected", str(facts["parts"]))
     table.add_row("convex pieces", str(facts["pieces"]))
+    table.add_row("they stand out by up to, mm", f"{1e3 * facts['pieces_stand_out']:.1f}")
+    table.add_row("volume that they have more", f"{facts['pieces_volume_share']:.0%}")
     repaired = [f"repaired: {text}" for text in facts["repaired"]]
     kept = "not kept: the cache folder cannot be written"
     if facts["kept_in"]:
