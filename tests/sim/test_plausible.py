@@ -77,16 +77,16 @@ VALUES = [
     *(
         (
             hand(moment=each),
-            f"inertias {SIZE} are replaced by those of boxes around them: 'i1' ({each:.2g} kg m^2, assumed 5e-06 kg m^2), 'i2'",
+            f"inertias {SIZE} are replaced by those of boxes around them: 'i1' ({', '.join(3 * [f'{each:.2g}'])} kg m^2, assumed 2e-06, 5e-06, 5e-06 kg m^2), 'i2'",
             "moment",
             MOMENT,
         )
         for each in (1.0, 3e-4, 1e-8, 0.0)
     ),
     # judged by what is drawn
-    (SEEN, "'i2' (0.2 kg m^2, assumed 5e-06 kg m^2)", "moment", MOMENT),
+    (SEEN, "'i2' (0.2, 0.2, 0.2 kg m^2, assumed 2e-06, 5e-06, 5e-06 kg m^2)", "moment", MOMENT),
     # by the length of the finger
-    (UNSEEN, "'i2' (0.2 kg m^2, assumed 5e-07 kg m^2)", "moment", 5e-7),
+    (UNSEEN, "'i2' (0.2, 0.2, 0.2 kg m^2, assumed 5e-07, 5e-07, 5e-07 kg m^2)", "moment", 5e-7),
     # grams, a hand's mass, tons; 0.27 for all links is heavier than lead
     *(
         (
