@@ -63,10 +63,13 @@ class Groups:
                 group.append(joint.child)
         return group
 
+    def touches(self, name: str) -> bool:
+        """Return True if a link or anything fixed to it has a collision shape."""
+        return any(self.links[other].collision for other in self.of(name))
+
     def only_drawn(self, name: str) -> bool:
         """Return True if a link and all that is fixed to it have visual shapes only."""
-        group = [self.links[other] for other in self.of(name)]
-        return any(link.visual for link in group) and not any(link.collision for link in group)
+        return not self.touches(name) and any(self.links[other].visual for other in self.of(name))
 
     def shapes(
         self, name: str, carrier: str | None

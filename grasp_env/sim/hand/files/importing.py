@@ -22,7 +22,7 @@ from grasp_env.inputs.extras import need
 from grasp_env.inputs.files import parsed
 from grasp_env.sim.hand.check import Vector3
 from grasp_env.sim.hand.files.elements import NO_INERTIA, FileJoint, HandFile, names_of
-from grasp_env.sim.hand.files.ends import find_ends, fitted_tips
+from grasp_env.sim.hand.files.ends import Ends, find_ends, fitted_tips
 from grasp_env.sim.hand.files.groups import Groups
 from grasp_env.sim.hand.files.joints import find_rods, free_ranges, judge_ranges
 from grasp_env.sim.hand.files.options import HandOptions, Inertial
@@ -113,15 +113,21 @@ class _Importer:
         with AllFaults() as check:
             torques = check(options.torques, [joint.name for joint in self.moving], drivers)
             inertials = check(options.bodies, [joint.child for joint in self.moving])
-            tips = check(lambda: self._tips(chosen_tips, options.radius()))
+            ends = find_ends(groups) if chosen_tips is None else Ends(list(chosen_tips), [], [])
+            balls = chosen_tips or dict.fromkeys(ends.tips)
+            tips = check(lambda: fitted_tips(groups, balls, options.radius(), chosen_tips is None))
+        self.repairs += ends.notes
         color = self.links[part.root].color or (0.17, 0.19, 0.23)
         palm = Palm(part.root, *groups.shapes(part.root, None), color)
         linked = self._judged(bodies, torques, inertials)
-        if chosen_tips is None and (rods := find_rods(linked, [tip for tip, _ in tips])):
+        rods = {*ends.rods}
+        if chosen_tips is None:
+            rods |= find_rods(linked, [tip for tip, _ in tips])
+            tips = [pair for pair in tips if pair[0].name not in rods]
+        if rods:
             self.repairs.append(
                 f"rods that only move a finger are not fingertips: {names_of(sorted(rods))}"
             )
-            tips = [pair for pair in tips if pair[0].name not in rods]
         linked = [
             _with_tips(link, [pair for pair in tips if pair[0].link == link.name])
             for link in linked
@@ -202,16 +208,6 @@ class _Importer:
             )
         x, y, z = center.tolist()
         return mass, (x, y, z), inertia_numbers(0.5 * (total + total.T))
-
-    def _tips(
-        self, balls: dict[str, Ball | None] | None, radius: float | None
-    ) -> list[tuple[Fingertip, Array]]:
-        """Return the fingertips, each with the direction in which its link ends."""
-        if balls is None:
-            ends, notes = find_ends(self.groups)
-            self.repairs += notes
-            balls = dict.fromkeys(ends)
-        return fitted_tips(self.groups, balls, radius)
 
 
 def _with_tips(link: Link, tips: list[tuple[Fingertip, Array]]) -> Link:
