@@ -114,3 +114,22 @@ def test_ends_without_a_tip_beside_named_ones_are_rods(tmp_path):
     assert f"{RODS}'bar'" in told
     one, _ = read(tmp_path, (hand() + bar + names).replace("m2_tip", "m2_end"))
     assert one.finger_names == ("i2_tip", "m2", "t2", "bar")
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_rods_with_motors_are_found_in_a_hand_of_too_many_fingers(tmp_path, count):
+    """Each rod lies at a finger's first link and is shorter than the finger."""
+    text = link("palm", 0.06, 0.2)
+    for number, name in enumerate("abcd"):
+        y = 0.05 * number
+        text += finger(name, "palm", f"0.06 {y} 0")
+        if number < count:
+            text += joint(f"{name}s", "palm", f"{name}slider", f"0.03 {y} 0.03", kind="prismatic")
+            text += link(f"{name}slider", 0.02)
+            text += joint(f"{name}r", f"{name}slider", f"{name}rod", "0.02 0.02 -0.03")
+            text += link(f"{name}rod", 0.03)
+    made, told = read(tmp_path, text)
+    rods = tuple(f"{name}rod" for name in "abcd"[:count])
+    assert set(made.finger_names) - {*rods} == {"a2", "b2", "c2", "d2"}
+    assert ((f"{RODS}{', '.join(map(repr, rods))}") in told) == (count == 3)
+    assert made.finger_count == (4 if count == 3 else 6)

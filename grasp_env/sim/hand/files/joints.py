@@ -29,6 +29,7 @@ LARGEST_STROKE = 0.5  # largest plausible range of a sliding joint [m]
 _LEAST_RANGE = 0.25
 _POSTURES = (0.1, 0.3, 0.5, 0.7, 0.9)  # shares of the motors' ranges at which links are compared
 _PINNED = 0.002  # largest gap between two links joined by a pin [m], as shapes are coarse
+_MOST_FINGERS = 6  # largest number of fingers of a hand
 _SHORTER = 0.9  # largest reach of a rod over that of the finger that it moves
 
 
@@ -120,35 +121,44 @@ def find_rods(links: Sequence[Link], tips: Sequence[Fingertip]) -> set[str]:
     """Return names of the fingertips that are rods: they end at a pin in another finger.
 
     The same motors move that finger, the rod touches it in every posture, and it reaches farther.
+    With more than `_MOST_FINGERS` tips, the file has motors for the joints of linkages. Then other
+    motors may move the finger, and the rod touches it with all joints at 0.
     """
     chains = [_chain(links, tip.link) for tip in tips]
     motors = [
         frozenset(link.mimic.joint if link.mimic else link.joint for link in chain)
         for chain in chains
     ]
-    alike = [
-        (rod, finger)
-        for rod, finger in permutations(range(len(tips)), 2)
-        if motors[rod] == motors[finger]
-    ]
-    if not alike:
-        return set()
-    postures = [_frames(links, share) for share in _POSTURES]
-    reach = [
-        max(
+    alike = list[tuple[int, int]]()
+    others = list[tuple[int, int]]()
+    for rod, finger in permutations(range(len(tips)), 2):
+        (alike if motors[rod] == motors[finger] else others).append((rod, finger))
+    compared: list[tuple[list[tuple[int, int]], Sequence[float | None]]] = [(alike, _POSTURES)]
+    if len(tips) > _MOST_FINGERS:
+        compared.append((others, (None,)))
+    rods = set[str]()
+    for pairs, shares in compared:
+        postures = [_frames(links, share) for share in shares] if pairs else []
+        reach = [_reach(tip, postures) for tip in tips]
+        for rod, finger in pairs:
+            driven = [link for link in chains[finger] if link not in chains[rod]]
+            if reach[rod] < _SHORTER * reach[finger] and any(
+                all(_touch(chains[rod][0], other, frames) for frames in postures)
+                for other in driven
+            ):
+                rods.add(tips[rod].name)
+    return rods if len(rods) < len(tips) else set()
+
+
+def _reach(tip: Fingertip, postures: Sequence[Mapping[str, Frame]]) -> float:
+    """Return the largest distance [m] of a tip from the origin of the palm."""
+    return max(
+        (
             float(np.linalg.norm(frames[tip.link].rotation @ tip.center + frames[tip.link].origin))
             for frames in postures
-        )
-        for tip in tips
-    ]
-    rods = set[str]()
-    for rod, finger in alike:
-        others = [link for link in chains[finger] if link not in chains[rod]]
-        if reach[rod] < _SHORTER * reach[finger] and any(
-            all(_touch(chains[rod][0], other, frames) for frames in postures) for other in others
-        ):
-            rods.add(tips[rod].name)
-    return rods if len(rods) < len(tips) else set()
+        ),
+        default=0.0,
+    )
 
 
 def _chain(links: Sequence[Link], name: str) -> list[Link]:
@@ -160,12 +170,14 @@ def _chain(links: Sequence[Link], name: str) -> list[Link]:
     return chain
 
 
-def _frames(links: Sequence[Link], share: float) -> dict[str, Frame]:
-    """Return the frames of the links in the palm's, all motors at a share of their ranges."""
+def _frames(links: Sequence[Link], share: float | None) -> dict[str, Frame]:
+    """Return the frames of the links in the palm's, all motors at a share of their ranges or at 0."""
     angles = dict[str, float]()
     for link in links:
         lower = max(link.lower, -math.pi)
-        angles[link.joint] = lower + share * (min(link.upper, math.pi) - lower)
+        angles[link.joint] = (
+            0.0 if share is None else lower + share * (min(link.upper, math.pi) - lower)
+        )
     frames = dict[str, Frame]()
     for link in links:
         mimic = link.mimic
