@@ -25,6 +25,7 @@ from grasp_env.config.records import (
 )
 from grasp_env.errors import InvalidInputError, UnknownSettingError, shown
 from grasp_env.inputs.arguments import AllFaults, as_array, warn
+from grasp_env.inputs.files import as_path
 from grasp_env.settings import (
     ANY,
     About,
@@ -42,8 +43,9 @@ from grasp_env.settings import (
 from grasp_env.sim.engine import ENGINE, EngineSettings, engine_of
 from grasp_env.sim.grasping.approach import DIRECTIONS, as_approach
 from grasp_env.sim.grasping.pads import PATCH_RADIUS, SOFT_PAIR, with_soft_contacts
+from grasp_env.sim.grasping.record import HandGrasp, hand_grasp_of
 from grasp_env.sim.hand.description import HANDS, HandDescription
-from grasp_env.sim.hand.plain import hand_of, hand_to_plain
+from grasp_env.sim.hand.plain import hand_of, hand_to_plain, is_built_in
 from grasp_env.sim.objects.description import ObjectDescription
 from grasp_env.task.disturbance import DISTURBANCE, Disturbance, NoDisturbance
 from grasp_env.task.tasks import TASK, Hold, Task
@@ -101,6 +103,18 @@ HAND = Kind(
 """Kind of a setting that holds a hand."""
 
 
+def _hand_grasp(value: Any, name: str) -> HandGrasp:
+    if isinstance(value, HandGrasp):
+        return value
+    if isinstance(value, dict):
+        return hand_grasp_of(value, name)
+    return HandGrasp.load(as_path(value, InvalidInputError, name))
+
+
+def _written_grasp(value: Any, name: str) -> Any:
+    return value.to_dict() if isinstance(value, HandGrasp) else to_json(value, name)
+
+
 @dataclass(frozen=True)
 class EnvConfig(Settings):
     """Settings of `FourFingerGrasp-v0`.
@@ -139,6 +153,17 @@ class EnvConfig(Settings):
         Kind(_contact_points, "(N, 3)"),
         "Contact points of the tips on the object's surface, object frame, in the hand's order; (): chosen automatically.",
         unit="m",
+    )
+    grasp: HandGrasp | None = setting(
+        None,
+        Kind(
+            _hand_grasp,
+            "HandGrasp, or the path of its file",
+            write=_written_grasp,
+        ),
+        "How the hand holds the object, in place of `hand`, `approach` and `contact_points`: from `place_hand`, from another "
+        "environment's `env.unwrapped.grasp`, or the file of one.",
+        none="searched for",
     )
     randomize: tuple[tuple[str, Any], ...] = setting(
         (),
@@ -208,11 +233,17 @@ class EnvConfig(Settings):
             raise InvalidInputError(
                 "a mesh keeps its shape and size: use randomize=('mass', 'friction'), or another object.shape"
             )
-        if resized and self.contact_points:
+        if resized and (self.contact_points or self.grasp is not None):
             raise InvalidInputError(
-                "contact_points belong to one shape and size: leave them out if these are randomised"
+                "contact_points and grasp belong to one shape and size: leave them out if these are randomised"
             )
-        if self.approach is not None and (self.contact_points or self.hand_description.placed):
+        if self.grasp is not None and (
+            self.hand != EnvConfig.hand or self.approach is not None or self.contact_points
+        ):
+            raise InvalidInputError(
+                "grasp has a hand and its contact points: leave hand, approach and contact_points out"
+            )
+        if self.approach is not None and self.pose_is_given:
             reason = (
                 "contact_points are given" if self.contact_points else "the hand is placed already"
             )
@@ -319,8 +350,17 @@ class EnvConfig(Settings):
         return self.agent.action_mode or usual
 
     @property
+    def pose_is_given(self) -> bool:
+        """True if the hand stays where it is: contact points are given, or a place of the hand."""
+        hand = self.hand_description
+        given = self.grasp is not None or bool(self.contact_points)
+        return given or (hand.placed and not is_built_in(hand))
+
+    @property
     def hand_description(self) -> HandDescription:
-        """The hand's description, also if the setting is a name."""
+        """The hand's description, also if the setting is a name or a grasp is given."""
+        if self.grasp is not None:
+            return self.grasp.hand
         return self.hand if isinstance(self.hand, HandDescription) else HANDS[self.hand]()
 
     def to_dict(self) -> dict[str, Any]:

@@ -22,6 +22,7 @@ from grasp_env.inputs.ranges import (
     Range,
 )
 from grasp_env.settings import NOT_NEGATIVE, POSITIVE, Settings, integer, real, setting
+from grasp_env.sim.grasping.record import HandGrasp
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.kinematics import HandKinematics
 
@@ -309,7 +310,7 @@ class HandController(core.HandController):
 
     def configure(  # pyright: ignore[reportIncompatibleMethodOverride]
         self,
-        hand: HandDescription,
+        hand: HandDescription | HandGrasp,
         settings: HandControllerSettings | None = None,
         calibration: Calibration | None = None,
         home: Sequence[float] | None = None,
@@ -317,15 +318,18 @@ class HandController(core.HandController):
         """Make all objects of an update.
 
         Args:
-            hand: The hand.
+            hand: The hand, or its grasp of an object.
             settings: None: the defaults.
             calibration: None: the motors take N m.
             home: (M,) posture in which gains are computed and to which joints return that the
-                fingertips leave free [rad]; None: that of the hand.
+                fingertips leave free [rad]; None: that of the grasp's contacts, or of the hand.
 
         Raises:
             InvalidInputError: a calibration or a posture of another number of joints.
         """
+        if isinstance(hand, HandGrasp):
+            home = hand.angles.tolist() if home is None else home
+            hand = hand.hand
         chosen = settings or HandControllerSettings()
         kinematics = HandKinematics(hand)
         table = calibration or Calibration.newton_metres(hand)

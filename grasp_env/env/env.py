@@ -34,6 +34,7 @@ from grasp_env.force import ForceSolution
 from grasp_env.inputs.arguments import Array, as_array, as_wrench, choice, instance, warn, whole
 from grasp_env.sim import Scene
 from grasp_env.sim.engine import class_of
+from grasp_env.sim.grasping.record import HandGrasp
 from grasp_env.sim.picture.annotation import LONGEST, Annotation
 from grasp_env.sim.picture.camera import Camera, CameraConfig
 from grasp_env.sim.picture.overlay import room
@@ -441,6 +442,11 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     def scene(self) -> Scene:
         """The simulation, for cameras and measurements."""
         return self._stage_or_raise().scene
+
+    @property
+    def grasp(self) -> HandGrasp:
+        """How the hand holds the object: the palm's place, contacts and postures; it can be saved."""
+        return self._stage_or_raise().grasp
 
     @property
     def solution(self) -> ForceSolution | None:

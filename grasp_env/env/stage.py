@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -10,16 +11,21 @@ import numpy as np
 from grasp_env.config import EnvConfig
 from grasp_env.control.closing import close_hand, take_over
 from grasp_env.control.loop import ForceLoop
-from grasp_env.errors import GraspError, SimulationError
+from grasp_env.errors import GraspError, InvalidInputError, SimulationError
 from grasp_env.inputs.arguments import warn
 from grasp_env.sim import HandKinematics, ObjectDescription, Scene
 from grasp_env.sim.config import START_CLEARANCE, SceneConfig
 from grasp_env.sim.engine import engine_of
 from grasp_env.sim.grasping import FRICTION_MARGIN, check_motion, place_hand, plan_grasp
+from grasp_env.sim.grasping.points import GraspPlan, check_points
+from grasp_env.sim.grasping.record import HandGrasp
+from grasp_env.sim.hand.description import HandDescription
 from grasp_env.task import Move
 
 PLACINGS = 3
 """Number of poses that are tried for each object, for a hand that is not `placed`."""
+ENOUGH = 30.0
+"""Force of a grasp [N] above which a hand with a name is placed anew, if that is better."""
 POSES = 33
 """Number of poses of a motion that a hand must reach, for a hand that is not `placed`."""
 REDRAWS = 20
@@ -35,6 +41,7 @@ class Stage:
     object.
 
     Attributes:
+        grasp: how the hand holds the object.
         episode: the settings of the episode, including drawn ones.
         redrawn: number of random objects of the last draw that the hand could not hold.
     """
@@ -42,10 +49,9 @@ class Stage:
     def __init__(self, config: EnvConfig, loop: ForceLoop, gui: bool, visuals: bool) -> None:
         self.config, self._loop = config, loop
         self._given = config.hand_description
-        self._fixed = self._given.placed or bool(config.contact_points)
         self._margin = min(FRICTION_MARGIN, config.controller.friction_margin)
         self._visible = gui, visuals
-        self._nominal: HandKinematics | None = None
+        self._nominal: HandGrasp | None = None
         self._scene: Scene | None = None
         self.redrawn = 0
         self.episode = config
@@ -55,7 +61,12 @@ class Stage:
             if self._scene is not None:
                 self._scene.close()
             raise
-        self._nominal = self.kinematics
+        self._nominal = self.grasp
+
+    @property
+    def kinematics(self) -> HandKinematics:
+        """The hand at its place."""
+        return self.scene.kinematics
 
     @property
     def scene(self) -> Scene:
@@ -94,7 +105,7 @@ class Stage:
     def _hold(self, item: ObjectDescription) -> None:
         """Let the hand hold an object, from the first pose where it can, also along a motion."""
         places = list(self._places(item))
-        if isinstance(self.config.task, Move) and not self._fixed:
+        if isinstance(self.config.task, Move) and not self.config.pose_is_given:
             try:
                 return self._hold_from(places, item, follows=True)
             except GraspError as error:
@@ -105,20 +116,20 @@ class Stage:
         return self._hold_from(places, item, follows=False)
 
     def _hold_from(
-        self, places: list[Callable[[], HandKinematics]], item: ObjectDescription, follows: bool
+        self, places: list[Callable[[], HandGrasp]], item: ObjectDescription, follows: bool
     ) -> None:
         first = self._nominal is None
         failure: GraspError | None = None
         for place in places:
             try:
-                self.kinematics = place()
-                grasp = self._scene_config(item)
+                self.grasp = place()
+                config = self._scene_config(item)
                 if follows:
-                    self._follow(grasp)
+                    self._follow(config)
                 if self._scene is None:
-                    self._scene = Scene(grasp, *self._visible)
+                    self._scene = Scene(config, *self._visible)
                 else:
-                    self._scene.load(grasp)
+                    self._scene.load(config)
                 close_hand(self.scene, self._loop)
                 if first:
                     self.scene.keep("closed")
@@ -126,48 +137,70 @@ class Stage:
                 if first:
                     self.scene.keep("settled")
                 return
-            except GraspError as error:
+            except InvalidInputError as error:
+                # that there are no other places tells less than why the hand did not hold
+                if not isinstance(failure, SimulationError):
+                    failure = error
+            except SimulationError as error:
                 failure = error
         assert failure is not None
         raise failure
 
-    def _places(self, item: ObjectDescription) -> Iterator[Callable[[], HandKinematics]]:
-        """Yield functions that find the poses of the hand to try for an object."""
-        hand, least, nominal = self._given, None, self._nominal
+    def _places(self, item: ObjectDescription) -> Iterator[Callable[[], HandGrasp]]:
+        """Yield functions that find the grasps of an object to try."""
+        config, hand, least, nominal = self.config, self._given, None, self._nominal
         if nominal is not None:
-            yield lambda: nominal
+            yield lambda: self._planned(nominal.hand, item)
             touching = set(nominal.hand.finger_names)  # observations keep their shape
             tips = tuple(tip for tip in hand.fingertips if tip.name in touching)
             hand = replace(hand, fingertips=tips)
             least = len(touching)
-        elif self._fixed:
-            yield lambda: HandKinematics(hand)
-        side = self.config.approach
-        for seed in range(0 if self._fixed else PLACINGS):
-            yield lambda seed=seed: HandKinematics(
-                place_hand(
-                    hand,
-                    item,
-                    seed=seed,
-                    least=least,
-                    approach=side,
-                    friction_margin=self._margin,
-                )
+        elif (grasp := config.grasp) is not None:
+            yield lambda: grasp
+        elif config.contact_points or (hand.placed and config.approach is None):
+            yield lambda: self._own_place(item)
+        for seed in range(0 if config.pose_is_given else PLACINGS):
+            yield lambda seed=seed: place_hand(
+                hand,
+                item,
+                seed=seed,
+                least=least,
+                approach=config.approach,
+                friction_margin=self._margin,
             )
 
+    def _own_place(self, item: ObjectDescription) -> HandGrasp:
+        """Return the grasp of the hand at its own place, or at a better one if it may move."""
+        grasp = self._planned(self._given, item)
+        if self.config.pose_is_given or not ENOUGH < grasp.force < np.inf:
+            return grasp
+        with suppress(GraspError):
+            placed = place_hand(self._given, item, friction_margin=self._margin)
+            if placed.force < grasp.force:
+                return placed
+        return grasp
+
+    def _planned(self, hand: HandDescription, item: ObjectDescription) -> HandGrasp:
+        """Return the grasp of a hand where it is."""
+        kinematics = HandKinematics(hand)
+        if not self.config.contact_points:
+            plan = plan_grasp(item, kinematics, None, self._margin)
+            return HandGrasp.of_plan(hand, item, plan)
+        points, normals = check_points(item, self.config.contact_points)
+        radii = np.array([tip.radius for tip in hand.fingertips])[:, None]
+        angles, start = (
+            kinematics.solve(points - (radii + gap) * normals) for gap in (0.0, START_CLEARANCE)
+        )
+        return HandGrasp.of_plan(hand, item, GraspPlan(points, normals, angles, start))
+
     def _scene_config(self, item: ObjectDescription) -> SceneConfig:
-        config = self.config
+        config, grasp = self.config, self.grasp
         engine = engine_of(config.engine)
-        points, start = config.contact_points, ()
-        if not points:
-            plan = plan_grasp(item, self.kinematics, None, self._margin)
-            points = tuple((x, y, z) for x, y, z in plan.points.tolist())
-            start = tuple(plan.start.tolist())
         return SceneConfig(
-            hand=self.kinematics.hand,
+            hand=grasp.hand,
             object=item,
-            contact_points=points,
-            start_angles=start,
+            contact_points=tuple((x, y, z) for x, y, z in grasp.points.tolist()),
+            start_angles=tuple(grasp.start.tolist()),
             gravity=self.episode.gravity,
             engine=engine,
             substeps=engine.rate // config.controller.rate,
@@ -180,7 +213,7 @@ class Stage:
         assert duration is not None
         times = np.linspace(0.0, duration, POSES)
         poses = self.config.task.target(times, 1.0 / self.config.controller.rate)[:, :7]
-        check_motion(grasp, self.kinematics, poses)
+        check_motion(grasp, HandKinematics(grasp.hand), poses)
 
     def _settle(self) -> None:
         self._loop.begin(self.scene)

@@ -31,8 +31,10 @@ UNITS = {
 """Units of the keys; a file may state only these."""
 _REQUIRED = ("positions", "normals", "friction")
 _OPTIONAL = ("contact_model", "torsional_friction", "tangents")
-_MAX_BYTES = 2 * MEGABYTE  # the largest grasp with all digits takes less than half
+_MAX_BYTES = 8 * MEGABYTE  # the largest grasp with all digits takes less than 1, a hand 2
 _HEADER = ("schema", "units")
+EXTENSIONS = ("hand",)
+"""Keys of other parts of the project: `HandGrasp.save` writes the hand."""
 
 
 def save_grasp(grasp: Grasp, path: str | Path) -> Path:
@@ -52,11 +54,13 @@ def save_grasp(grasp: Grasp, path: str | Path) -> Path:
         array([0.5, 0.5, 0.5])
         >>> folder.cleanup()
     """
+    return write_plain(to_plain(as_grasp(grasp)), path)
+
+
+def write_plain(values: dict[str, Any], path: str | Path) -> Path:
+    """Write what `to_plain` returns, or a dict with more keys from `EXTENSIONS`, as `save_grasp`."""
     file = as_path(path, GraspFileError, "a grasp's file")
-    lines = [
-        f"  {json.dumps(key)}: {json.dumps(value)}"
-        for key, value in _to_json(as_grasp(grasp)).items()
-    ]
+    lines = [f"  {json.dumps(key)}: {json.dumps(value)}" for key, value in values.items()]
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         with replacing(file) as temporary:
@@ -76,26 +80,40 @@ def load_grasp(path: str | Path) -> Grasp:
             other units, another schema, or values that are not a grasp. The message names the file
             and the field; `__cause__` is the error of `from_contacts`.
     """
+    return of_plain(*read_plain(path))
+
+
+def read_plain(path: str | Path) -> tuple[dict[str, Any], str]:
+    """Return the object in a grasp's file, not checked, and the file's name in messages."""
     file = as_path(path, GraspFileError, "a grasp's file")
-    values = _read(file)
+    values = read_json(
+        file, GraspFileError, "grasp file", _MAX_BYTES, parse_int=float, object_pairs_hook=_unique
+    )
+    return values, f"grasp file {file}"
+
+
+def of_plain(values: Any, name: str) -> Grasp:
+    """Return the grasp in a dict of a grasp's file; `name` is that of the file, for messages."""
+    _check_keys(values, name)
     for key in ("torsional_friction", "tangents"):
         if key in values and values[key] is None:
             raise GraspFileError(
-                f"grasp file {file}: {key} must be numbers or lists of numbers, got None: leave the key out"
+                f"{name}: {key} must be numbers or lists of numbers, got None: leave the key out"
             )
     models = values.get("contact_model", "hard")
     if not isinstance(models, str | list):
         raise GraspFileError(
-            f"grasp file {file}: contact_model must be a name or a list of N names, got {shown(models)}"
+            f"{name}: contact_model must be a name or a list of N names, got {shown(models)}"
         )
     arguments = {key: values[key] for key in (*_REQUIRED, *_OPTIONAL) if key in values}
     try:
         return Grasp.from_contacts(**arguments)
     except GraspError as error:
-        raise GraspFileError(f"grasp file {file}: {error}") from error
+        raise GraspFileError(f"{name}: {error}") from error
 
 
-def _to_json(grasp: Grasp) -> dict[str, Any]:
+def to_plain(grasp: Grasp) -> dict[str, Any]:
+    """Return the dict of a grasp's file."""
     models = grasp.models
     mu = models.friction
     arguments: dict[str, Any] = {
@@ -115,33 +133,28 @@ def _to_json(grasp: Grasp) -> dict[str, Any]:
     }
 
 
-def _read(file: Path) -> dict[str, Any]:
-    """Return the keys and values of a file with a valid header; huge integers become inf."""
-    values = read_json(
-        file, GraspFileError, "grasp file", _MAX_BYTES, parse_int=float, object_pairs_hook=_unique
-    )
+def _check_keys(values: Any, name: str) -> None:
+    """Check the keys and the header of a file; huge integers are inf."""
     if not isinstance(values, dict):
-        raise GraspFileError(
-            f"grasp file {file} must be one JSON object {{...}}, got {shown(values)}"
-        )
+        raise GraspFileError(f"{name} must be one JSON object {{...}}, got {shown(values)}")
     if values.get("schema", SCHEMA) != SCHEMA:
         raise GraspFileError(
-            f"grasp file {file} has schema {shown(values['schema'])}, this version reads {SCHEMA!r}: convert it, or leave the "
+            f"{name} has schema {shown(values['schema'])}, this version reads {SCHEMA!r}: convert it, or leave the "
             "key out of a file written by hand"
         )
-    unknown = [key for key in values if key not in (*_HEADER, *_REQUIRED, *_OPTIONAL)]
+    allowed = (*_HEADER, *_REQUIRED, *_OPTIONAL, *EXTENSIONS)
+    unknown = [key for key in values if key not in allowed]
     missing = [key for key in _REQUIRED if key not in values]
     if unknown or missing:
         raise GraspFileError(
-            f"grasp file {file}: unknown keys {shown(unknown)}, missing keys {missing}; required are {list(_REQUIRED)}, "
+            f"{name}: unknown keys {shown(unknown)}, missing keys {missing}; required are {list(_REQUIRED)}, "
             f"allowed besides {[*_OPTIONAL, *_HEADER]}"
         )
     units = values.get("units", {})
     if not isinstance(units, dict) or any(UNITS.get(key) != unit for key, unit in units.items()):
         raise GraspFileError(
-            f"grasp file {file}: units must be {UNITS} or part of it, got {shown(units)}: convert the numbers"
+            f"{name}: units must be {UNITS} or part of it, got {shown(units)}: convert the numbers"
         )
-    return values
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from grasp_env.inputs.extras import need
 with need("sim"):
     from grasp_env.sim.engine import BulletEngine, MujocoEngine
     from grasp_env.sim.grasping.placing import place_hand
+    from grasp_env.sim.grasping.record import HandGrasp
     from grasp_env.sim.hand.description import HANDS, FingerDescription, HandDescription
     from grasp_env.sim.hand.kinematics import HandKinematics
     from grasp_env.sim.objects.description import ObjectDescription
@@ -15,6 +16,7 @@ __all__ = [
     "BulletEngine",
     "FingerDescription",
     "HandDescription",
+    "HandGrasp",
     "HandKinematics",
     "MujocoEngine",
     "ObjectDescription",

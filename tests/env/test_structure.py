@@ -19,7 +19,7 @@ from grasp_env.force import optimize_force
 from grasp_env.grasp.grasp import Grasp
 from grasp_env.sim import HandKinematics, Scene
 from grasp_env.sim.config import SceneConfig
-from grasp_env.sim.grasping import placing, sites
+from grasp_env.sim.grasping import placing, sites, trials
 from grasp_env.sim.hand.description import Mimic
 
 BALL: dict[str, Any] = {"shape": "sphere", "size": (0.06,), "mass": 0.15, "friction": 0.7}
@@ -27,9 +27,10 @@ LOADS = np.array([[0.0, -1.5, 0.0, 0.0, 0.0, 0.0], [1.0, -1.5, 0.5, 0.0, 0.03, 0
 
 
 @pytest.fixture
-def careless(monkeypatch):
+def careless(monkeypatch, tmp_path):
     """Place hands without regard to the directions in which their motors push."""
-    monkeypatch.setattr(placing, "_SHARE_POWER", 0.0)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(trials, "_SHARE_POWER", 0.0)
     monkeypatch.setattr(sites, "_PUSHED", 0.0)
     placing._placed.cache_clear()
     yield

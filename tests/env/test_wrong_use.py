@@ -71,7 +71,10 @@ OVERRIDE: list[tuple[dict[str, Any], str]] = [
     ({"randomize": None}, "randomize must be a list of some of shape, size, mass, friction"),
     ({"randomize": {"mass": (0.3, 0.1)}}, "low <= high"),
     ({"randomize": {"gravity": (1.0, 2.0)}}, "must be a function"),
-    ({"randomize": "size", "contact_points": POINTS}, "contact_points belong to one shape"),
+    (
+        {"randomize": "size", "contact_points": POINTS},
+        "contact_points and grasp belong to one shape",
+    ),
     ({"controller": "pd"}, r"class ControllerSettings, .*did you mean {'kind': 'pd'}"),
     ({"solver": "newtn"}, r"class SolverSettings, or a dict of its settings, got 'newtn'$"),
     ({"disturbance": [0.0] * 6}, r"give {'name': 'constant', 'value': \(fx, fy, fz"),
@@ -161,7 +164,7 @@ NOT_HELD = [
         {"hand": FOUR.moved((0.0, 0.5, 0.0))},
         "cannot be grasped by the hand 'four_finger': finger .* out of reach",
     ),
-    ({"size": (0.1, 0.4, 0.1)}, "palm"),
+    ({"hand": FOUR.moved((0.0, 0.0, 1e-6)), "size": (0.1, 0.4, 0.1)}, "palm"),
     ({"hand": replace(FOUR, fingertips=FOUR.fingertips[:1])}, "more fingers"),
     ({"initial_force": lambda grasp, wrench: np.ones((4, 3))}, "misses balance"),
     pytest.param(

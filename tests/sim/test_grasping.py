@@ -21,7 +21,7 @@ from grasp_env.quality import force_closure
 from grasp_env.sim import HANDS, HandDescription, HandKinematics, ObjectDescription, place_hand
 from grasp_env.sim.config import START_CLEARANCE
 from grasp_env.sim.grasping.approach import DEVIATION, Approach, as_approach
-from grasp_env.sim.grasping.placing import _Candidate, _never_facing, _placed, _Trials, _wide_joints
+from grasp_env.sim.grasping.placing import _never_facing, _placed, _wide_joints
 from grasp_env.sim.grasping.points import (
     FRICTION_MARGIN,
     GraspPlan,
@@ -29,6 +29,7 @@ from grasp_env.sim.grasping.points import (
     grasp_points,
     plan_grasp,
 )
+from grasp_env.sim.grasping.trials import Candidate, Trials
 from grasp_env.sim.hand.description import Geometry
 from grasp_env.sim.hand.limbs import hand_limbs, touching_pairs
 from grasp_env.sim.objects.description import SHAPES_WITHOUT_MESH
@@ -231,14 +232,14 @@ def test_invalid_points(point, normal, message):
 def test_planar_and_coupled_fingers(fingers, joints, coupled, item):
     hand = gripper(fingers, joints, coupled)
     assert not any(core.HandLimbs.make(HandKinematics(hand).tree, [], np.array(hand.home)).free)
-    check(place_hand(hand, item), item)
+    check(place_hand(hand, item).hand, item)
 
 
 @pytest.mark.parametrize(
     ("name", "item"), [("four_finger_4dof", BALL), ("five_finger", CUBE), ("allegro", CUBE)]
 )
 def test_known_hands(name, item):
-    placed = place_hand(replace(HANDS[name](), placed=False), item)
+    placed = place_hand(replace(HANDS[name](), placed=False), item).hand
     assert placed.placed
     # more fingers touch where they hold as well
     assert placed.finger_count >= (4 if name == "allegro" else 3)
@@ -248,12 +249,12 @@ def test_known_hands(name, item):
 def test_seeds_and_places():
     """The result depends on the seed, but a grasp is found wherever the hand was."""
     hand = gripper(3, 2)
-    first = place_hand(hand, BALL, seed=2)
+    first = place_hand(hand, BALL, seed=2).hand
     _placed.cache_clear()
-    assert place_hand(hand, replace(BALL), seed=2) == first
+    assert place_hand(hand, replace(BALL), seed=2).hand == first
     moved = hand.moved((1.0, -2.0, 0.5), (0.3, 2.0, -1.0))
-    check(place_hand(moved, BALL, seed=3), BALL)
-    assert place_hand(hand, BALL, seed=3) != first
+    check(place_hand(moved, BALL, seed=3).hand, BALL)
+    assert place_hand(hand, BALL, seed=3).hand != first
 
 
 def test_fingers_that_find_no_contact_are_left_out():
@@ -261,7 +262,7 @@ def test_fingers_that_find_no_contact_are_left_out():
     # the last finger stays open
     links = (*hand.links[:6], replace(hand.links[6], upper=-0.5), replace(hand.links[7], upper=0.1))
     hand = replace(hand, links=links, home=())
-    placed = place_hand(hand, BALL)
+    placed = place_hand(hand, BALL).hand
     assert placed.finger_names == ("f0", "f1", "f2")
     assert placed.joint_count == 8
     check(placed, BALL)
@@ -276,7 +277,7 @@ def ranged(hand: HandDescription, lower: float, upper: float) -> HandDescription
 
 def test_joints_with_wide_ranges():
     """Nearly all postures are folded: three joints of each finger turn by up to a turn."""
-    check(place_hand(ranged(gripper(3, 3), -np.pi, np.pi), BALL), BALL)
+    check(place_hand(ranged(gripper(3, 3), -np.pi, np.pi), BALL).hand, BALL)
 
 
 def test_advice_on_fingers_and_joints():
@@ -316,9 +317,9 @@ def test_idle_fingers_make_a_grasp_worse():
     hand = HANDS["four_finger"]()
     more = replace(hand.fingertips[0], name="idle", link=hand.links[0].name)
     idle = replace(hand, fingertips=(*hand.fingertips, more))
-    candidate = _Candidate((0, 1, 2, 3), np.array(hand.home), np.eye(3), np.zeros(3))
+    candidate = Candidate((0, 1, 2, 3), np.array(hand.home), np.eye(3), np.zeros(3))
     one, other = (
-        _Trials(each, ObjectDescription("sphere", (0.09,)), FRICTION_MARGIN).rating(candidate)
+        Trials(each, ObjectDescription("sphere", (0.09,)), FRICTION_MARGIN).rating(candidate)
         for each in (hand, idle)
     )
     assert other == pytest.approx(1.3 * one)

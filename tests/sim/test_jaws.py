@@ -71,7 +71,7 @@ def claw(ratio: float = 1.0) -> HandDescription:
 )
 def test_both_jaws_touch_at_once(hand, item):
     soft = with_soft_contacts(item, hand)
-    kinematics = HandKinematics(place_hand(hand, soft))
+    kinematics = HandKinematics(place_hand(hand, soft).hand)
     plan = plan_grasp(soft, kinematics)
     assert plan.normals[0] @ plan.normals[1] < -0.9
     np.testing.assert_allclose(plan.angles, kinematics.coupled(plan.angles), atol=1e-12)
@@ -87,7 +87,7 @@ def test_both_jaws_touch_at_once(hand, item):
 def test_one_motor_makes_the_forces_of_both_jaws():
     """A grasp takes twice the force of one motor that it takes of two."""
     soft = with_soft_contacts(BALL, jaws())
-    placed = place_hand(jaws(1, 10.0), soft)
+    placed = place_hand(jaws(1, 10.0), soft).hand
     free = replace(placed, links=tuple(replace(link, mimic=None) for link in placed.links))
     one, two = (plan_grasp(soft, HandKinematics(hand)).force for hand in (placed, free))
     assert one == pytest.approx(2.0 * two, rel=0.1)
@@ -155,7 +155,7 @@ def test_jaws_hold_under_a_random_wrench(hand, item, engine):
     [(CUBE, "up", (0.0, 1.0, 0.0)), (BALL, (3.0, 0.0, 4.0), (0.6, 0.0, 0.8)), (BALL, "side", None)],
 )
 def test_the_palm_looks_where_it_is_wanted(item, approach, way):
-    placed = place_hand(jaws(), with_soft_contacts(item, jaws()), approach=approach)
+    placed = place_hand(jaws(), with_soft_contacts(item, jaws()), approach=approach).hand
     palm = np.array(placed.palm.collision[0].origin)
     palm /= np.linalg.norm(palm)
     limit = np.radians(35.0)  # 30, and the middle of the box is not its nearest point
@@ -184,7 +184,8 @@ def test_hands_that_cannot_be_placed():
     with pytest.raises(
         InvalidInputError, match="approach='up' is for a hand that is put around the object"
     ):
-        EnvConfig(approach="up")
+        EnvConfig(hand=place_hand(claw(), with_soft_contacts(BALL, claw())).hand, approach="up")
+    assert EnvConfig(approach="up").approach == "up"  # a hand with a name may be put elsewhere
     assert EnvConfig(hand=jaws(), approach=(0.0, -2.0, 0.0)).approach == (0.0, -1.0, 0.0)
 
 

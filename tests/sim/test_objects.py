@@ -99,7 +99,7 @@ def test_nearest_points_are_consistent(item):
 @needs_bullet
 def test_bullet_has_the_same_surface(item, client):
     exact = item.shape == "mesh" and len(item.pieces) > 1
-    body = create_body(client, item, exact)
+    body = create_body(client, item, "faces" if exact else None)
     ball = bullet.createCollisionShape(bullet.GEOM_SPHERE, radius=0.01, physicsClientId=client)
     tip = bullet.createMultiBody(0.01, ball, physicsClientId=client)
     # Bullet's own search is coarse on the round side of a cylinder and on meshes, see create_body

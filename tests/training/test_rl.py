@@ -411,7 +411,7 @@ def test_runs_are_compared(ppo, tmp_path, monkeypatch):
     train(config, ball)
     agent = TrainedAgent.load(ball / "seed-0")
     assert as_config(agent.meta["env_settings"]) == EnvConfig().override(
-        disturbance="random", **json.loads(BALL)
+        disturbance="random", action_mode="initial_force", **json.loads(BALL)
     )
     words = f"rl --on inline --episodes 1 --compare {ppo} {ball} --out {tmp_path / 'all'}"
     assert main(words.split()) == 0

@@ -40,7 +40,7 @@ _MARGINS = (
 )
 _DIRECTIONS = 120
 _TRIES = 3  # runs with the easier margins
-_MISSES = (
+MISSES = (
     "too near to an edge",
     "out of reach",
     "too near to a joint limit",
@@ -69,7 +69,7 @@ class GraspPlan:
         start: Joint angles before the fingers close [rad], (M,), with every tip `START_CLEARANCE`
             from the object.
         force: Total normal force in the worst case [N], or the load of the most loaded joint if
-            that is more: 30 N is its torque limit.
+            that is more: 30 N is its torque limit. inf: not rated, as for given contacts.
         clearance: Clearance of the links from the object [m]; margins from edges and joint limits
             decrease with it.
     """
@@ -78,8 +78,8 @@ class GraspPlan:
     normals: Array
     angles: Array
     start: Array
-    force: float
-    clearance: float
+    force: float = np.inf
+    clearance: float = 0.0
 
 
 def grasp_points(
@@ -145,7 +145,7 @@ def _reference_plan(item: ObjectDescription, kinematics: HandKinematics) -> Gras
     config = SceneConfig(kinematics.hand, item, tuple(map(tuple, points.tolist())), engine=engine)
     angles = kinematics.solve(config.nominal_tips())
     start = kinematics.solve(replace(config, clearance=START_CLEARANCE).nominal_tips())
-    return GraspPlan(points, np.array(grasp.normals), angles, start, np.inf, 0.0)
+    return GraspPlan(points, np.array(grasp.normals), angles, start)
 
 
 def check_points(
@@ -250,7 +250,7 @@ class GraspSearch:
             ]
             for finger, count in enumerate(counts):
                 self.short[finger] += count == 0
-                self.faults.update(dict(zip(_MISSES, self.core.misses(finger), strict=True)))
+                self.faults.update(dict(zip(MISSES, self.core.misses(finger), strict=True)))
             if min(counts) > 0 and (plan := self._best(rng, margins[2])) is not None:
                 return plan
         return None

@@ -7,6 +7,8 @@ one side and a third the opposite one.
 
 from __future__ import annotations
 
+import math
+import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,12 +90,13 @@ def find_sites(
     least: int,
     most: int,
     pushed: bool = True,
+    until: float = math.inf,
 ) -> tuple[list[Site], NDArray[np.bool_]]:
     """Find up to `most` sites, best first, where `least` or more fingers can surround an object.
 
     Also return an array (N, N), True if two fingers faced each other with room for the object
     between them. If `pushed`, sites at which motors push along the normals are preferred; they are
-    rare for some cuboids.
+    rare for some cuboids. The search stops when this process has taken `until` seconds.
     """
     kinematics = HandKinematics(hand)
     low = np.maximum(kinematics.lower, -np.pi)
@@ -107,6 +110,8 @@ def find_sites(
     sites: list[Site] = []
     faced = np.zeros((hand.finger_count,) * 2, dtype=bool)
     for number in range(_LOCKED_ROUNDS if locked else _ROUNDS):
+        if time.process_time() > until:
+            break
         narrow = number >= _WIDE_ROUNDS and len(sites) < _FEW and not locked
         postures = rng.random((_POSTURES, hand.joint_count))
         if narrow:

@@ -64,6 +64,11 @@ def hand_of(value: Any, name: str) -> HandDescription:
     return _build(HandDescription, value, name)
 
 
+def is_built_in(hand: HandDescription) -> bool:
+    """True if a hand is one of `HANDS`, at its own place."""
+    return hand in _names()
+
+
 @cache
 def _names() -> dict[HandDescription, str]:
     return {make(): name for name, make in HANDS.items()}

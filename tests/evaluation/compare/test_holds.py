@@ -100,7 +100,7 @@ def test_an_episode_depends_on_its_seed_alone():
 
 
 def test_grasps_that_do_not_begin_are_not_held(monkeypatch):
-    row = trial({**SHORT, "mass": 30.0}, False, 0)
+    row = trial({**SHORT, "mass": 300.0}, False, 0)
     assert (row["failure"], row["held"]) == ("no_start", False)
     assert "settle" in row["detail"]
     for error, failure in ((InvalidInputError, "not_placed"), (SimulationError, "no_start")):
@@ -147,7 +147,7 @@ PLAN = [
         "friction",
         {"controller": "paper"},
         1,
-        {**SHORT, "mass": 30.0},
+        {**SHORT, "mass": 300.0},
         random_objects=False,
     ),
 ]

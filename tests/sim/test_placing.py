@@ -1,0 +1,174 @@
+"""Records of grasps: what placing finds, keeps, saves, and says when it finds nothing."""
+
+from __future__ import annotations
+
+import json
+from contextlib import closing
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from hands import gripper
+
+from grasp_env.config.env import as_config
+from grasp_env.control.hand import HandController, HandControllerSettings
+from grasp_env.errors import GraspFileError, InvalidInputError
+from grasp_env.force import optimize_force
+from grasp_env.grasp import load_grasp, presets, save_grasp
+from grasp_env.sim import HandDescription, HandGrasp, HandKinematics, ObjectDescription, place_hand
+from grasp_env.sim.config import START_CLEARANCE
+from grasp_env.sim.grasping import placing, sites
+from grasp_env.sim.objects.cache import entries
+from training.program.cli import main
+
+BALL = ObjectDescription("sphere", (0.06,), mass=0.15, friction=0.7)
+SOFT = ObjectDescription("cuboid", (0.05, 0.05, 0.05), friction=0.7, torsional_friction=0.0056)
+HAND = gripper(3, 2)
+ENV = "grasp_env:FourFingerGrasp-v0"
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path, monkeypatch):
+    """An empty cache, in memory and on disk."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    placing._placed.cache_clear()
+    yield
+    placing._placed.cache_clear()
+
+
+def no_search(*_: Any) -> Any:
+    raise AssertionError("it searches again")
+
+
+@pytest.mark.parametrize(
+    ("hand", "item"), [(HAND, BALL), (gripper(2, 2), SOFT)], ids=["hard", "soft"]
+)
+def test_the_record_is_true_of_its_hand(hand, item):
+    grasp = place_hand(hand, item)
+    kinematics = HandKinematics(grasp.hand)
+    radii = kinematics.tip_radii[:, None]
+    touching = grasp.points - radii * grasp.normals
+    np.testing.assert_allclose(kinematics.tips(grasp.angles), touching, atol=1e-6)
+    gaps = [
+        item.surface.nearest(tip)[2] - radius
+        for tip, radius in zip(kinematics.tips(grasp.start), kinematics.tip_radii, strict=True)
+    ]
+    np.testing.assert_allclose(gaps, START_CLEARANCE, atol=1e-6)
+    # the palm's frame is where the record says: its tips are the hand's, moved there
+    at_home = HandKinematics(
+        HandDescription(
+            hand.name, hand.palm, hand.links, grasp.hand.fingertips, grasp.hand.home
+        ).moved(grasp.position, grasp.rotation)
+    )
+    np.testing.assert_allclose(at_home.tips(grasp.angles), touching, atol=1e-6)
+    contacts = grasp.contacts()
+    assert contacts.models.names[0] == ("soft" if item is SOFT else "hard")
+    optimize_force(contacts, [0.0, -1.5, 0.0, 0.0, 0.0, 0.0]).raise_for_status()
+
+
+def test_a_record_is_saved_and_read_by_everyone(tmp_path, capsys):
+    grasp = place_hand(HAND, BALL)
+    path = grasp.save(tmp_path / "grasp.json")
+    assert HandGrasp.load(path) == grasp
+    np.testing.assert_array_equal(load_grasp(path).matrix, grasp.contacts().matrix)
+    words = f"solve --grasp {path} --wrench 0 -1.5 0 0 0 0 --json"
+    assert main(words.split()) == 0
+    assert json.loads(capsys.readouterr().out)["status"] == "optimal"
+    controller = HandController()
+    controller.configure(HandGrasp.load(path), HandControllerSettings(friction=0.7))
+    state = controller.new_state()
+    state.angles = grasp.angles
+    controller.activate(state)
+    assert controller.update(state, 1e-3).shape == grasp.angles.shape
+    with pytest.raises(GraspFileError, match="has contacts, but no hand"):
+        HandGrasp.load(save_grasp(presets.tripod(), tmp_path / "contacts.json"))
+    for key in ("description", "start"):
+        values = json.loads(path.read_text())
+        del values["hand"][key]
+        (tmp_path / "less.json").write_text(json.dumps(values))
+        with pytest.raises(GraspFileError, match=rf"the keys \['{key}'\] are missing"):
+            HandGrasp.load(tmp_path / "less.json")
+
+
+def test_an_environment_keeps_its_grasp_and_another_begins_with_it(tmp_path, monkeypatch):
+    settings: dict[str, Any] = {"object": BALL, "disturbance": "none", "duration": 0.1}
+    with closing(gym.make(ENV, hand=HAND, **settings)) as env:
+        grasp = env.unwrapped.grasp
+        assert grasp == place_hand(HAND, BALL)
+        first, _ = env.reset(seed=0)
+    monkeypatch.setattr(placing, "_searched", no_search)
+    path = grasp.save(tmp_path / "grasp.json")
+    for given in (grasp, path, grasp.to_dict()):
+        with closing(gym.make(ENV, grasp=given, **settings)) as env:
+            assert env.unwrapped.grasp == grasp
+            assert as_config(env.unwrapped.config.to_json()).grasp == grasp
+            np.testing.assert_array_equal(env.reset(seed=0)[0], first)
+            assert env.step(np.zeros(env.action_space.shape, np.float32))[4]["is_success"]
+    with pytest.raises(InvalidInputError, match="grasp has a hand and its contact points: leave"):
+        gym.make(ENV, grasp=grasp, approach="down", **settings)
+    with pytest.raises(InvalidInputError, match="grasp belong to one shape and size"):
+        gym.make(ENV, grasp=grasp, randomize=("size",), **settings)
+
+
+def test_what_placing_found_is_kept_by_content(monkeypatch):
+    first = place_hand(HAND, BALL)
+    assert [(entry.use, entry.name) for entry in entries()] == [
+        ("grasp", f"{HAND.name} holds sphere")
+    ]
+    placing._placed.cache_clear()  # as in another process
+    with monkeypatch.context() as patched:
+        patched.setattr(placing, "_searched", no_search)
+        assert place_hand(HAND, BALL) == first
+        for other in (
+            {"item": ObjectDescription("sphere", (0.06,), mass=0.15, friction=0.71)},
+            {"hand": gripper(3, 2, torque=5.0)},
+            {"seed": 1},
+            {"friction_margin": 0.8},
+            {"approach": "down"},
+        ):
+            with pytest.raises(AssertionError, match="searches again"):
+                place_hand(**{"hand": HAND, "item": BALL, **other})
+
+
+def test_failures_are_kept_too_but_not_those_of_a_time_limit(monkeypatch):
+    large = ObjectDescription("sphere", (0.4,))
+    with pytest.raises(InvalidInputError) as told:
+        place_hand(HAND, large)
+    placing._placed.cache_clear()
+    with monkeypatch.context() as patched:
+        patched.setattr(placing, "_searched", no_search)
+        with pytest.raises(InvalidInputError) as again:
+            place_hand(HAND, large)
+    assert str(again.value) == str(told.value)
+    monkeypatch.setattr(placing, "LONGEST", 0.0)
+    with pytest.raises(InvalidInputError, match="no palm pose was found in 0 s"):
+        place_hand(HAND, BALL)
+    monkeypatch.setattr(placing, "LONGEST", 20.0)
+    assert place_hand(HAND, BALL).hand.finger_count == 3
+
+
+def test_the_nearest_miss_is_told(monkeypatch):
+    """Without friction two fingers cannot balance a weight; their contacts are found."""
+    monkeypatch.setattr(placing, "_MAX_ATTEMPTS", 1)
+    monkeypatch.setattr(sites, "_ROUNDS", 4)
+    slippery = ObjectDescription("sphere", (0.06,), mass=0.15, friction=1e-3)
+    with pytest.raises(InvalidInputError) as told:
+        place_hand(HAND, slippery)
+    words = str(told.value)
+    assert "The nearest miss, with the palm at (" in words
+    assert "f0, f1, f2 find contacts, their choices are without force closure" in words
+
+
+def test_a_hand_with_a_name_is_placed_anew_where_its_own_place_fails():
+    tall = {"shape": "cuboid", "size": (0.05, 0.4, 0.05), "mass": 0.1, "friction": 0.7}
+    own = HandDescription.four_finger()
+    with closing(gym.make(ENV, object=tall, disturbance="none", duration=0.1)) as env:
+        assert env.unwrapped.grasp.hand != own
+        env.reset(seed=0)
+        assert env.step(np.zeros(env.action_space.shape, np.float32))[4]["is_success"]
+    with closing(gym.make(ENV, disturbance="none", duration=0.1)) as env:
+        assert env.unwrapped.grasp.hand == own
+    # a place that is given is kept, or refused
+    with pytest.raises(InvalidInputError, match=r"into the palm|finds no contact"):
+        gym.make(ENV, object=tall, hand=own.moved((0.0, 1e-6, 0.0)))
