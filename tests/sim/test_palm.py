@@ -45,6 +45,13 @@ for side in "lr":
     ROBOT += chain(f"{side}arm", "waist1", 5) + fixed + hand(f"{side}palm", side)
 
 
+def many_motors(step: float) -> str:
+    """Return a chain of 8 joints, 3 cm apart, then 3 cm and a step, then a step [m] apart."""
+    plate = joint("bracket", "a4", "plate", "0.03 0 0", kind="fixed") + link("plate")
+    first = link("base") + chain("a", "base", 4, SOLID, 0.03)
+    return first + plate + chain("b", "plate", 4, SOLID, step)
+
+
 def test_a_hand_on_an_arm_is_the_hand_alone(tmp_path):
     """Meshes of the arm are not looked for; any link fixed to the palm may be named instead."""
     made, told = read(tmp_path, ARM, palm="palm")
@@ -98,6 +105,12 @@ REFUSED = [
         "hand",
         "palm: no link is called 'hand'; joints branch at 'palm'; links are 'base', 'arm1'",
     ),
+    # 0.32 m from the first joint to the last
+    (
+        many_motors(0.05),
+        None,
+        "'b_4' has 8 motors. No link carries several chains that may be fingers",
+    ),
     (ARM, "i2", "the palm 'i2' carries no joint that moves; links that do are 'base', 'arm1'"),
 ]
 
@@ -142,6 +155,7 @@ STILL = [
         "",
         (0.0,),
     ),
+    (many_motors(0.0425), {}, 8, "", (0.0,)),  # 0.29 m
     (
         hand() + finger("x", "i2", "0.04 0 0"),
         {"palm": "i1"},
@@ -176,7 +190,15 @@ STILL = [
 @pytest.mark.parametrize(
     ("text", "options", "count", "words", "tilts"),
     STILL,
-    ids=["wrist", "long fingers", "a finger", "followers", "given range", "equal limits"],
+    ids=[
+        "wrist",
+        "long fingers",
+        "many motors",
+        "a finger",
+        "followers",
+        "given range",
+        "equal limits",
+    ],
 )
 def test_joints_that_hold_still(tmp_path, text, options, count, words, tilts):
     made, told = read(tmp_path, text, **options)

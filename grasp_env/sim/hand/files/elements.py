@@ -56,6 +56,7 @@ class HandFile(Protocol):
     name: str
     names: list[str]
     ends: list[tuple[str, str, str]]
+    origins: dict[str, Vector3]
     mimics: dict[str, str]
     fixed: set[str]
     undrawn: dict[str, str]

@@ -67,6 +67,7 @@ class MjcfReader:
         self._links, self._file_joints = self._read()
         self.names = [link.name for link in self._links]
         self.ends = [(joint.name, joint.parent, joint.child) for joint in self._file_joints]
+        self.origins = {joint.name: joint.origin for joint in self._file_joints}
         self.mimics = {joint.name: joint.mimic.joint for joint in self._file_joints if joint.mimic}
         self.fixed = {joint.name for joint in self._file_joints if joint.fixed}
 

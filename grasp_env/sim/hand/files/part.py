@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.inputs.arguments import AllFaults
+from grasp_env.sim.hand.check import Vector3
 from grasp_env.sim.hand.files.elements import Ends, FileJoint, FileLink, HandFile, names_of
 from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.hand.tree import Mimic
@@ -16,6 +18,9 @@ from grasp_env.sim.hand.tree import Mimic
 # largest number of motors of an unbranched chain; fingers of public hands have up to 5, arms
 # without a hand 6 and more
 LONGEST_FINGER = 6
+# smallest length of such a chain that is an arm [m], from its first joint to its last; fingers with
+# more motors, in files of tendon-driven hands, have 0.06
+LEAST_ARM = 0.3
 # the same of a chain that ends at a branching; forearms and wrists have up to 3, arms with a hand 4
 # and more
 LONGEST_WRIST = 3
@@ -90,7 +95,7 @@ class _Robot:
             if joint not in file.fixed:
                 self._joints[self._group[parent]].append((joint, link))
                 self._joints[link] = []
-        self._arms = self._find_arms(file.mimics)
+        self._arms = self._find_arms(file.mimics, file.origins)
 
     def _descendants(self, top: str) -> list[str]:
         """Return a link and all its descendants, parents first."""
@@ -99,18 +104,35 @@ class _Robot:
             links += [child for _, parent, child in self._ends if parent == link]
         return links
 
-    def _find_arms(self, mimics: Mapping[str, str]) -> dict[str, list[str]]:
+    def _find_arms(
+        self, mimics: Mapping[str, str], origins: Mapping[str, Vector3]
+    ) -> dict[str, list[str]]:
         """Return the motors of chains too long for a finger or a wrist, by the group at the end."""
         chains: dict[str, list[str]] = {self._root: []}
+        lengths = {self._root: 0.0}  # [m] from the first motor of the chain
         arms: dict[str, list[str]] = {}
         for group, joints in self._joints.items():
             chain = chains[group]
             for joint, child in joints:
                 start = chain if len(joints) == 1 else []
                 chains[child] = [*start, joint] if joint not in mimics else start
-            if len(joints) != 1 and len(chain) > (LONGEST_WRIST if joints else LONGEST_FINGER):
+                lengths[child] = lengths[group] + self._step(child, origins) if start else 0.0
+            if joints:
+                too_long = len(joints) > 1 and len(chain) > LONGEST_WRIST
+            else:
+                too_long = len(chain) > LONGEST_FINGER and lengths[group] > LEAST_ARM
+            if too_long:
                 arms[group] = chain
         return arms
+
+    def _step(self, link: str, origins: Mapping[str, Vector3]) -> float:
+        """Return the length [m] from the moving joint before a link's to that of the link."""
+        joint, parent = self._above[link]
+        length = math.hypot(*origins[joint])
+        while parent != self._group[parent]:
+            joint, parent = self._above[parent]
+            length += math.hypot(*origins[joint])
+        return length
 
     def _palms(self) -> list[str]:
         """Return candidates for the palm: links at which chains branch, none of them an arm.

@@ -6,6 +6,7 @@ import math
 import os
 from collections import Counter
 from collections.abc import Collection
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from xml.etree.ElementTree import Element
@@ -44,6 +45,7 @@ class UrdfReader:
         names: Names of its links.
         ends: Name, parent and child of its joints; other faults of the joints are raised by
             `elements`.
+        origins: Place of each joint in its parent [m], (3,); zero for one with faults.
         mimics: The driver that each coupled joint names.
         fixed: Names of fixed joints.
         undrawn: Visual meshes that are left out, with the reason.
@@ -77,6 +79,7 @@ class UrdfReader:
             (element.get("name", ""), _end(element, "parent"), _end(element, "child"))
             for element in self._joints
         ]
+        self.origins = {element.get("name", ""): _place(element) for element in self._joints}
         self.mimics = {
             element.get("name", ""): mimic.get("joint", "")
             for element in self._joints
@@ -240,6 +243,13 @@ def _origin(element: Element, where: str) -> tuple[Vector3, Vector3]:
     x, y, z = _row(origin, "xyz", 3, "0 0 0", f"{where}, <origin>")
     roll, pitch, yaw = _row(origin, "rpy", 3, "0 0 0", f"{where}, <origin>")
     return (x, y, z), (roll, pitch, yaw)
+
+
+def _place(joint: Element) -> Vector3:
+    """Return the position of a joint [m], zero if it is not three numbers."""
+    with suppress(InvalidInputError):
+        return _origin(joint, "")[0]
+    return 0.0, 0.0, 0.0
 
 
 def _color(material: Element, where: str) -> Vector3 | None:
