@@ -8,7 +8,7 @@ from urdf_text import finger, hand, joint, link, read, solid
 from grasp_env.sim.hand.description import Fingertip
 
 FRAME = '<link name="{}"/>'
-SPINNING = "links on joints that turn without end are not fingertips: 'gear'; name them as"
+SPINNING = "turn without end, or by more than a turn, are not fingertips: 'gear'; name them as"
 RODS = "rods that only move a finger are not fingertips: "
 
 
@@ -45,6 +45,9 @@ DRIVEN = joint("d", "palm", "jaw", "0.06 0.03 0", mimic="spin") + link("jaw")
         (hand() + gear(), {}, ("i2", "m2", "t2")),
         (hand() + gear(), {"fingertips": ["i2", "gear"]}, ("i2", "gear")),
         (hand() + gear(), {"joint_limits": {"spin": (0.0, 1.0)}}, ("i2", "m2", "t2", "gear")),
+        # a drum of a tendon, and a joint that folds
+        (hand() + gear(), {"joint_limits": {"spin": (-2.0, 6.0)}}, ("i2", "m2", "t2")),
+        (hand() + gear(), {"joint_limits": {"spin": (-3.1, 3.1)}}, ("i2", "m2", "t2", "gear")),
         # one other end is no hand
         (link("palm") + finger("i", "palm", "0.04 0 0") + gear(), {}, ("i2", "gear")),
         # a finger that moves others, and one that another moves
@@ -57,7 +60,17 @@ DRIVEN = joint("d", "palm", "jaw", "0.06 0.03 0", mimic="spin") + link("jaw")
             ("i2", "m2", "t2", "e2"),
         ),
     ],
-    ids=["gear", "named", "limits", "one finger", "driver", "driven", "two joints"],
+    ids=[
+        "gear",
+        "named",
+        "limits",
+        "drum",
+        "folds",
+        "one finger",
+        "driver",
+        "driven",
+        "two joints",
+    ],
 )
 def test_a_gear_is_no_finger(tmp_path, text, options, names):
     made, told = read(tmp_path, text, **options)

@@ -53,7 +53,7 @@ def find_ends(groups: Groups) -> Ends:
     spinning = [end for end in ends if _spins(chains[end], drivers)]
     if spinning and len(ends) - len(spinning) >= 2:
         notes.append(
-            f"links on joints that turn without end are not fingertips: {names_of(spinning)}; name them as fingertips= if they are"
+            f"links on joints that turn without end, or by more than a turn, are not fingertips: {names_of(spinning)}; name them as fingertips= if they are"
         )
         ends = [end for end in ends if end not in spinning]
     tips = {end: _tip_of(groups, end) for end in ends}
@@ -81,13 +81,13 @@ def _chains(groups: Groups) -> dict[str, list[FileJoint]]:
 
 
 def _spins(chain: Sequence[FileJoint], drivers: Collection[str]) -> bool:
-    """Return True for a link on the palm, such as a gear, that turns without end and alone.
+    """Return True for a link on the palm, such as a gear, that turns by more than a turn and alone.
 
     Fingers of several joints without limits are common in files from CAD programs.
     """
     joint = chain[0]
     alone = joint.mimic is None and joint.name not in drivers and not joint.sliding
-    return len(chain) == 1 and alone and math.isinf(joint.lower) and math.isinf(joint.upper)
+    return len(chain) == 1 and alone and joint.upper - joint.lower > 2.0 * math.pi
 
 
 def _is_tip(name: str) -> bool:
