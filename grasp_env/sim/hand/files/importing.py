@@ -93,12 +93,12 @@ class _Importer:
         joints, wide = judge_ranges(joints, ranges)
         joints, uncoupled = free_ranges(joints, ranges)
         self.use_file_rotors = options.rotor_inertia is None
-        self.repairs = [*file.notes, *part.notes, *frozen, *wide, *uncoupled]
         if all(joint.fixed for joint in joints):
             why = "no joint moves; a hand needs joints of type revolute, continuous or prismatic"
             raise InvalidInputError("; ".join([why, *frozen]))
         # may take seconds, but meshes are cached by content
         self.links = file.with_shapes(links)
+        self.repairs = [*file.notes, *part.notes, *frozen, *wide, *uncoupled]
         self.groups = groups = Groups(part.root, self.links, joints)
         self.moving = groups.moving
         for reason in dict.fromkeys(file.undrawn.values()):

@@ -28,8 +28,8 @@ _CUTS = (0.2, 0.35, 0.5, 0.65, 0.8)  # positions of cuts within a piece's extent
 _MAX_DEPTH = 4  # cuts one after another
 _FINE = 5000  # number of faces above which a mesh is simplified before it is cut
 _GRAINS = 150.0  # number of grid cells along the extent of a simplified mesh
-_SMALLEST, _LARGEST = 1e-5, 5.0  # [m] extent of a mesh
-_PLAUSIBLE = 0.4  # largest extent of a hand's link [m]
+SMALLEST, LARGEST = 1e-5, 5.0  # [m] extent of a mesh
+PLAUSIBLE = 0.4  # largest extent of a hand's link [m]
 _MAX_FRAGMENTS = 40  # number of connected parts above which a mesh is cut as a whole
 _VISUAL_CORNERS = 256  # of the hull of a visual mesh in which a tip is fitted
 _VISUAL_ERROR = 2e-4  # relative error of that hull
@@ -83,6 +83,21 @@ def solids_of(
         link: [solid for shape in link_shapes for solid in solids(shape)]
         for link, link_shapes in shapes.items()
     }
+
+
+def extents_of(uses: Sequence[MeshUse]) -> list[float]:
+    """Return the largest extent of each mesh [m]; 0 for one that cannot be read."""
+    jobs = [Job(use.path, b"extents", _extents_of) for use in uses]
+    return [
+        0.0
+        if isinstance(result, InvalidInputError)
+        else float(np.abs(result["extents"] * use.scale).max())
+        for use, result in zip(uses, run_jobs(jobs, "sizes of meshes"), strict=True)
+    ]
+
+
+def _extents_of(corners: Array, _: Any) -> dict[str, Any]:
+    return {"extents": np.ptp(corners, axis=0)}
 
 
 def _pieces_of(scale: Vector3, corners: Array, faces: Any) -> dict[str, Any]:
@@ -144,10 +159,10 @@ def convex_pieces(corners: Array, faces: Any) -> list[Array]:
         InvalidInputError: The size is implausible for a part of a hand.
     """
     extent = float(np.ptp(corners, axis=0).max()) if len(corners) else 0.0
-    if not _SMALLEST <= extent <= _LARGEST:
-        factor = mesh_shape.scale_advice(extent, _PLAUSIBLE) or "the length of the file's unit [m]"
+    if not SMALLEST <= extent <= LARGEST:
+        factor = mesh_shape.scale_advice(extent, PLAUSIBLE) or "the length of the file's unit [m]"
         raise InvalidInputError(
-            f"the mesh is {extent:.3g} m large, allowed are {_SMALLEST:g} to {_LARGEST:g}; multiply scale= of its <mesh> by {factor}"
+            f"the mesh is {extent:.3g} m large, allowed are {SMALLEST:g} to {LARGEST:g}; multiply scale= of its <mesh> by {factor}"
         )
     hull = hull_of(corners)
     parts = _parts(faces)

@@ -43,7 +43,6 @@ class UrdfReader:
     """
 
     def __init__(self, path: str | os.PathLike[str], robot: Element) -> None:
-        self.notes: list[str] = []
         self.name: str = robot.get("name") or "hand"
         self._links, self._joints = robot.findall("link"), robot.findall("joint")
         if not self._links:
@@ -60,7 +59,7 @@ class UrdfReader:
                 f"there are {shapes} shapes, allowed are up to {MAX_SHAPES}; take the hand out"
             )
         self._shapes = UrdfShapes(path, robot)
-        self.undrawn = self._shapes.undrawn
+        self.undrawn, self.notes = self._shapes.undrawn, self._shapes.notes
         self.names = [element.get("name", "") for element in self._links]
         self.ends = [
             (element.get("name", ""), _end(element, "parent"), _end(element, "child"))

@@ -6,6 +6,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeAlias
 from xml.etree.ElementTree import Element
 
 from grasp_env.errors import InvalidInputError, shown
@@ -13,7 +14,7 @@ from grasp_env.inputs.arguments import AllFaults
 from grasp_env.sim.hand.check import Vector3
 from grasp_env.sim.hand.files.elements import FileLink, listed
 from grasp_env.sim.hand.files.meshes import PARENTS, find_mesh, unit_of, why_not_drawn
-from grasp_env.sim.hand.files.pieces import MeshUse, solids_of
+from grasp_env.sim.hand.files.pieces import LARGEST, PLAUSIBLE, MeshUse, extents_of, solids_of
 from grasp_env.sim.hand.files.urdf_values import color_of, placement, row
 from grasp_env.sim.hand.tree import Geometry
 
@@ -25,18 +26,26 @@ _SIZES = {
     "box": {"size": 3},
 }
 
+_MILLIMETRE = 1e-3  # [m]
+
+_Shapes: TypeAlias = tuple[list[Geometry | MeshUse], list[Geometry | MeshUse]]
+"""Shapes of a link that touch, and those that are drawn."""
+
 
 class UrdfShapes:
-    """The shapes of a file's links; `undrawn` has the reason for each mesh that is left out."""
+    """The shapes of a file's links.
+
+    `undrawn` has the reason for each visual mesh that is left out, `notes` what was assumed.
+    """
 
     def __init__(self, path: str | os.PathLike[str], robot: Element) -> None:
         self._path = Path(os.fsdecode(path))
         self._materials = list(robot.iter("material"))
         self._palette: dict[str, Vector3] = {}
         self._missing: dict[str, list[str]] = {}
-        # of each link the shapes that touch and those that are drawn
-        self._shapes: dict[str, tuple[list[Geometry | MeshUse], list[Geometry | MeshUse]]] = {}
+        self._shapes: dict[str, _Shapes] = {}
         self.undrawn: dict[str, str] = {}
+        self.notes: list[str] = []
 
     def read_palette(self) -> None:
         """Read the colors of materials, by which links name them."""
@@ -81,18 +90,76 @@ class UrdfShapes:
             )
 
     def with_shapes(self, links: Mapping[str, FileLink]) -> dict[str, FileLink]:
-        """Return the links with their shapes: convex pieces of collision meshes, visual meshes."""
-        solids = solids_of({name: self._shapes[name][0] for name in links}, self._path.name)
+        """Return the links with their shapes: convex pieces of collision meshes, visual meshes.
+
+        If all collision meshes are far too large, they are taken as millimetres.
+        """
+        shapes = {name: self._shapes[name] for name in links}
+        try:
+            solids = self._solids(shapes)
+        except InvalidInputError:
+            scaled = self._in_metres(shapes)
+            if scaled is None:
+                raise
+            shapes, solids = scaled, self._solids(scaled)
         shaped = dict[str, FileLink]()
         for name, link in links.items():
             visual = [
                 look if isinstance(look, Geometry) else self._visual_mesh(look)
-                for look in self._shapes[name][1]
+                for look in shapes[name][1]
             ]
             shaped[name] = replace(
                 link, collision=tuple(solids[name]), visual=tuple(filter(None, visual))
             )
         return shaped
+
+    def _solids(self, shapes: Mapping[str, _Shapes]) -> dict[str, list[Geometry]]:
+        """Return the convex collision shapes of each link."""
+        return solids_of({name: pair[0] for name, pair in shapes.items()}, self._path.name)
+
+    def _in_metres(self, shapes: Mapping[str, _Shapes]) -> dict[str, _Shapes] | None:
+        """Return shapes with meshes of millimetres scaled to metres, which is noted.
+
+        They are None unless all collision meshes are larger than `LARGEST`, and at most `PLAUSIBLE`
+        if they are in millimetres. Visual meshes may have another scale, so each is judged.
+        """
+        meshes = [
+            [
+                shape
+                for pair in shapes.values()
+                for shape in pair[role]
+                if isinstance(shape, MeshUse)
+            ]
+            for role in (0, 1)
+        ]
+        extents = [extents_of(uses) for uses in meshes]
+        if not all(LARGEST < extent <= PLAUSIBLE / _MILLIMETRE for extent in extents[0]):
+            return None
+        large = {
+            use
+            for uses, sizes in zip(meshes, extents, strict=True)
+            for use, extent in zip(uses, sizes, strict=True)
+            if extent > PLAUSIBLE
+        }
+        rows = dict.fromkeys(
+            f"{use.name!r} ({extent:.3g} m)"
+            for use, extent in zip(meshes[0], extents[0], strict=True)
+        )
+        self.notes.append(
+            f"collision meshes are larger than {LARGEST:g} m, so they are taken as millimetres and scaled by {_MILLIMETRE:g}: "
+            f"{listed(list(rows))}; check it, and write scale= of each <mesh>"
+        )
+
+        def fitting(shape: Geometry | MeshUse) -> Geometry | MeshUse:
+            if isinstance(shape, Geometry) or shape not in large:
+                return shape
+            x, y, z = (_MILLIMETRE * factor for factor in shape.scale)
+            return replace(shape, scale=(x, y, z))
+
+        return {
+            name: ([*map(fitting, pair[0])], [*map(fitting, pair[1])])
+            for name, pair in shapes.items()
+        }
 
     def _placed(
         self, element: Element, link: str, color: Vector3 | None = None
