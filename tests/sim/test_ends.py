@@ -53,12 +53,13 @@ DRIVEN = joint("d", "palm", "jaw", "0.06 0.03 0", mimic="spin") + link("jaw")
         # a finger that moves others, and one that another moves
         (hand() + gear() + DRIVEN, {}, ("i2", "m2", "t2", "gear", "jaw")),
         (hand() + gear("ia"), {}, ("i2", "m2", "t2", "gear")),
-        # a finger of a CAD program
+        # ranges of CAD programs
         (
             hand() + finger("e", "palm", "0.06 0 0", kind="continuous"),
             {},
             ("i2", "m2", "t2", "e2"),
         ),
+        (hand(kind="continuous") + gear(), {}, ("i2", "m2", "t2", "gear")),
     ],
     ids=[
         "gear",
@@ -70,6 +71,7 @@ DRIVEN = joint("d", "palm", "jaw", "0.06 0.03 0", mimic="spin") + link("jaw")
         "driver",
         "driven",
         "two joints",
+        "no limits",
     ],
 )
 def test_a_gear_is_no_finger(tmp_path, text, options, names):

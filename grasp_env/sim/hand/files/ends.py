@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -49,9 +49,7 @@ def find_ends(groups: Groups) -> Ends:
         notes.append(f"end links without a shape are not fingertips: {names_of(bare)}")
     covered = {joint.child for name in shaped for joint in chains[name][:-1]}
     ends = [name for name in shaped if name not in covered]
-    drivers = {joint.mimic.joint for joint in groups.moving if joint.mimic}
-    spinning = [end for end in ends if _spins(chains[end], drivers)]
-    if spinning and len(ends) - len(spinning) >= 2:
+    if spinning := _spinning(groups, {end: chains[end] for end in ends}):
         notes.append(
             f"links on joints that turn without end, or by more than a turn, are not fingertips: {names_of(spinning)}; name them as fingertips= if they are"
         )
@@ -80,14 +78,25 @@ def _chains(groups: Groups) -> dict[str, list[FileJoint]]:
     return {name: chain for name, chain in chains.items() if name is not None}
 
 
-def _spins(chain: Sequence[FileJoint], drivers: Collection[str]) -> bool:
-    """Return True for a link on the palm, such as a gear, that turns by more than a turn and alone.
+def _spinning(groups: Groups, chains: Mapping[str, Sequence[FileJoint]]) -> list[str]:
+    """Return the ends on the palm that turn by more than a turn and alone, such as gears and drums.
 
-    Fingers of several joints without limits are common in files from CAD programs.
+    There are none unless two other ends remain, and none of their motors turns so far: then the
+    file has no true limits.
     """
-    joint = chain[0]
-    alone = joint.mimic is None and joint.name not in drivers and not joint.sliding
-    return len(chain) == 1 and alone and joint.upper - joint.lower > 2.0 * math.pi
+    drivers = {joint.mimic.joint for joint in groups.moving if joint.mimic}
+    wide = {
+        joint.name
+        for joint in groups.moving
+        if not joint.sliding and not joint.mimic and joint.upper - joint.lower > 2.0 * math.pi
+    }
+    ends = [
+        end for end, chain in chains.items() if len(chain) == 1 and chain[0].name in wide - drivers
+    ]
+    others = [chain for end, chain in chains.items() if end not in ends]
+    if len(others) < 2 or any(joint.name in wide for chain in others for joint in chain):
+        return []
+    return ends
 
 
 def _is_tip(name: str) -> bool:
