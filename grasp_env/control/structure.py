@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -11,13 +11,45 @@ from grasp_env.force import optimize_forces
 from grasp_env.grasp.grasp import Grasp
 from grasp_env.inputs.arguments import Array, Indices
 from grasp_env.sim.hand.kinematics import HandKinematics, motor_force_basis
-from grasp_env.sim.snapshot import Snapshot
 
 MAX_CARRIED = 0.65
 """Largest share of a finger's force that its structure may carry without a warning.
 
 In 34 grasps by five hands (Dex3, Linker O7, Ability, BrainCo, iCub) the engines agreed below it:
 Bullet held 26 of 32 trials, MuJoCo 27. Above it Bullet held 30 of 104, MuJoCo 69."""
+
+
+class Posture(Protocol):
+    """A posture of a hand around an object.
+
+    Attributes:
+        angles: (M,) joint angles [rad].
+        touch: (N, 3) points where the fingertips touch [m], world frame.
+        rotation: (3, 3) rotation from the object to the world.
+    """
+
+    @property
+    def angles(self) -> Array:
+        """(M,) joint angles."""
+        ...
+
+    @property
+    def touch(self) -> Array:
+        """(N, 3) points where the fingertips touch."""
+        ...
+
+    @property
+    def rotation(self) -> Array:
+        """(3, 3) rotation from the object to the world."""
+        ...
+
+
+class PlannedPosture(NamedTuple):
+    """A posture before it is taken; see `Posture`."""
+
+    angles: Array
+    touch: Array
+    rotation: Array
 
 
 class FingerStructure(NamedTuple):
@@ -53,24 +85,24 @@ class FingerStructure(NamedTuple):
 
 
 def finger_structure(
-    snapshot: Snapshot, kinematics: HandKinematics, grasp: Grasp, wrenches: Array
+    posture: Posture, kinematics: HandKinematics, grasp: Grasp, wrenches: Array
 ) -> FingerStructure:
-    """Return the shares of the forces that structure carries in the current posture.
+    """Return the shares of the forces that structure carries in a posture, as a `Snapshot` has it.
 
     Contact forces f take the motor torques J^T f, with J the Jacobian of all contacts. The part of
     f in the null space of J^T takes no torque, and no torque changes it. `wrenches` (K, 6) are
     loads on the object [N, N m], object frame. Those that the contacts cannot balance are ignored.
     """
-    count = len(snapshot.points)
+    count = len(posture.touch)
     motors = kinematics.motors
-    jacobian = kinematics.statics(snapshot.angles, snapshot.touch)[0][:, :, motors]
+    jacobian = kinematics.statics(posture.angles, posture.touch)[0][:, :, motors]
     span = motor_force_basis(jacobian.reshape(3 * count, len(motors)))
     if span.shape[1] == 3 * count:
         return FingerStructure(np.full(count, 3), np.zeros(count))
     components = np.array([motor_force_basis(rows).shape[1] for rows in jacobian], dtype=np.int64)
     optimal = optimize_forces(grasp, wrenches, workers=1).force
     optimal = optimal[np.isfinite(optimal).all(axis=(1, 2))]
-    forces = np.einsum("nij,mnj->mni", snapshot.rotation @ grasp.frames, optimal)
+    forces = np.einsum("nij,mnj->mni", posture.rotation @ grasp.frames, optimal)
     forces = forces.reshape(-1, 3 * count)
     carried = forces - forces @ span @ span.T
     squares = [(f.reshape(-1, count, 3) ** 2).sum(axis=(0, 2)) for f in (carried, forces)]

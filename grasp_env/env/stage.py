@@ -11,7 +11,9 @@ import numpy as np
 from grasp_env.config import EnvConfig
 from grasp_env.control.closing import close_hand, take_over
 from grasp_env.control.loop import ForceLoop
+from grasp_env.control.structure import MAX_CARRIED, PlannedPosture, finger_structure
 from grasp_env.errors import GraspError, InvalidInputError, SimulationError
+from grasp_env.force.margin import Margin
 from grasp_env.inputs.arguments import warn
 from grasp_env.sim import HandKinematics, ObjectDescription, Scene
 from grasp_env.sim.config import START_CLEARANCE, SceneConfig
@@ -26,6 +28,8 @@ PLACINGS = 3
 """Number of poses that are tried for each object, for a hand that is not `placed`."""
 ENOUGH = 30.0
 """Force of a grasp [N] above which a hand with a name is placed anew, if that is better."""
+PUSH = 0.5
+"""Force along each axis [N] with which places of the hand are compared, besides the weight."""
 POSES = 33
 """Number of poses of a motion that a hand must reach, for a hand that is not `placed`."""
 REDRAWS = 20
@@ -159,15 +163,51 @@ class Stage:
             yield lambda: grasp
         elif config.contact_points or (hand.placed and config.approach is None):
             yield lambda: self._own_place(item)
-        for seed in range(0 if config.pose_is_given else PLACINGS):
-            yield lambda seed=seed: place_hand(
+        for number in range(0 if config.pose_is_given else PLACINGS):
+            yield lambda number=number: self._placed(hand, item, least, number)
+
+    def _placed(
+        self, hand: HandDescription, item: ObjectDescription, least: int | None, number: int
+    ) -> HandGrasp:
+        """Return the grasp with this number of those that are tried.
+
+        First is one whose motors make most of its forces; without one, that with the largest share.
+        """
+
+        def place(seed: int) -> HandGrasp:
+            return place_hand(
                 hand,
                 item,
                 seed=seed,
                 least=least,
-                approach=config.approach,
+                approach=self.config.approach,
                 friction_margin=self._margin,
             )
+
+        grasps = list[HandGrasp]()
+        failure: InvalidInputError | None = None
+        for seed in range(PLACINGS):
+            try:
+                grasps.append(place(seed))
+            except InvalidInputError as error:
+                failure = error
+                continue
+            if self._carried(grasps[-1], item) <= MAX_CARRIED:
+                break
+        if failure is not None and number >= len(grasps):
+            raise failure
+        grasps.sort(key=lambda grasp: self._carried(grasp, item))
+        return grasps[number] if number < len(grasps) else place(number)
+
+    def _carried(self, grasp: HandGrasp, item: ObjectDescription) -> float:
+        """Return the largest share of a finger's force that no motor makes, with some loads."""
+        weight = [*np.multiply(item.mass, self.config.gravity), 0.0, 0.0, 0.0]
+        pushes = np.diag([PUSH] * 3 + [0.0] * 3)
+        loads = weight + np.concatenate([np.zeros((1, 6)), pushes, -pushes])
+        posture = PlannedPosture(grasp.angles, grasp.points, np.eye(3))
+        contacts = Margin(self._margin, 0.0).narrowed(grasp.contacts())
+        structure = finger_structure(posture, HandKinematics(grasp.hand), contacts, loads)
+        return float(structure.share.max())
 
     def _own_place(self, item: ObjectDescription) -> HandGrasp:
         """Return the grasp of the hand at its own place, or at a better one if it may move."""

@@ -14,6 +14,7 @@ from grasp_env import core
 from grasp_env.errors import UnknownNameError
 from grasp_env.inputs.arguments import Array, instance
 from grasp_env.sim.bullet_body import UNDAMPED, create_body, set_dynamics
+from grasp_env.sim.bullet_sweeps import min_sweeps
 from grasp_env.sim.client import Client, bullet
 from grasp_env.sim.config import SceneConfig
 from grasp_env.sim.engine import BulletEngine
@@ -32,16 +33,6 @@ HAND_FLAGS: int = (
 # fewest and most solver sweeps for coupled joints: with 20, links of 20 g yielded by 0.02 rad under
 # 0.5 N m, with 100 by 1e-9
 COUPLED_SWEEPS, MAX_SWEEPS = 100, 1000
-# fewest solver sweeps if a finger has more than three joints: with 20, the fingers of LEAP crept
-# along objects by up to 3 mm in 4 s
-LONG_SWEEPS = 40
-# fewest solver sweeps with soft contacts: under shear and torsion at once a cylinder between four
-# fingertips crept 1.4 mm in 2 s with 20 sweeps, 0.3 mm with 60
-SOFT_SWEEPS = 60
-# fewest solver sweeps if a finger has fewer than three motors and squeezes the object through its
-# structure: iCub held a cube in 0 of 10 trials with 40 sweeps and in 10 with 400, the Ability hand
-# a ball in 3 with 400 and in 10 with 800
-STRUCTURE_SWEEPS = 800
 
 
 class Bullet(Simulator):
@@ -193,8 +184,7 @@ def build_world(client: int, config: SceneConfig, urdf: str, angles: np.ndarray)
         numSubSteps=0,  # with substeps the reported contact forces are a fraction of the true ones
         numSolverIterations=max(
             engine.solver_iterations,
-            min_sweeps(config.hand),
-            SOFT_SWEEPS if config.object.torsional_friction > 0.0 else 0,
+            min_sweeps(config, angles),
         ),
         solverResidualThreshold=0.0,
         enableConeFriction=1,
@@ -223,26 +213,6 @@ def build_world(client: int, config: SceneConfig, urdf: str, angles: np.ndarray)
         first, second = (-1 if link < 0 else joints[link] for link in pair)
         bullet.setCollisionFilterPair(hand, hand, first, second, 0, physicsClientId=client)
     return World(hand, create_body(client, config.object, engine.mesh_contacts), joints)
-
-
-def min_sweeps(hand: HandDescription) -> int:
-    """Return the solver sweeps that a hand's fingers need; `couple` may raise the number."""
-    numbers = {link.name: index for index, link in enumerate(hand.links)}
-    least = 0
-    for tip in hand.fingertips:
-        link = tip.link
-        motors = set[int]()
-        joints = 0
-        while link in numbers:
-            index = numbers[link]
-            link = hand.links[index].parent
-            joints += 1
-            motors.add(hand.drivers[index])
-        if joints > 3:
-            least = max(least, LONG_SWEEPS)
-        if len(motors) < 3:
-            least = max(least, STRUCTURE_SWEEPS)
-    return least
 
 
 def couple(client: int, body: int, joints: Sequence[int], hand: HandDescription) -> None:
