@@ -10,8 +10,8 @@ from typing import Any
 
 from grasp_env.inputs.arguments import Array
 from grasp_env.sim.client import bullet
-from grasp_env.sim.hand.urdf import hull_faces
 from grasp_env.sim.mesh_files import obj_text
+from grasp_env.sim.mesh_shape import hull_faces
 from grasp_env.sim.objects.description import OBJECT_COLOR, ObjectDescription
 
 # arguments of changeDynamics that switch off Bullet's default damping

@@ -137,3 +137,14 @@ def reduce_hull(corners: Array, most: int, fine: float) -> Array:
         worst = worst[np.argsort(-outside[worst], kind="stable")][: most - len(chosen)]
         chosen = np.append(chosen, worst)
     return corners[chosen]
+
+
+def hull_faces(points: Array) -> tuple[Array, Any]:
+    """Return the points (K, 3) and the faces (F, 3) of their hull, counterclockwise from outside."""
+    from scipy.spatial import ConvexHull  # slow to import, and only hulls need it
+
+    hull = ConvexHull(points)
+    faces = hull.simplices
+    a, b, c = (points[faces[:, k]] for k in range(3))
+    inward = np.einsum("fk,fk->f", np.cross(b - a, c - a), hull.equations[:, :3]) < 0.0
+    return points, np.where(inward[:, None], faces[:, ::-1], faces)

@@ -109,7 +109,7 @@ REFUSED = [
     (
         many_motors(0.05),
         None,
-        "'b_4' has 8 motors. No link carries several chains that may be fingers",
+        "'b_4' has 8 motors. If the last joint moves a jaw against the link 'b3', name palm='b3'",
     ),
     (ARM, "i2", "the palm 'i2' carries no joint that moves; links that do are 'base', 'arm1'"),
 ]

@@ -20,7 +20,12 @@ _UNIFORM = 2.0 / 3.0
 SOFT_PAIR = 2
 """Fingers of a hand that needs soft contacts: hard ones do not stop the object from turning."""
 _PROTRUSION = 0.0015  # distance by which a pad's sphere protrudes from its jaw [m]
-_MAX_STEP = 0.006  # largest distance that it is moved for that [m]
+# the same of a jaw that turns against a fixed one: a flat side would touch them beside their pads
+_OBLIQUE = 0.004
+# distance of such tips at which the direction of moving is chosen [m], and shares of the joints'
+# ranges among which the posture for that is
+_OPENING, _SHARES = 0.04, tuple(np.linspace(0.0, 1.0, 21).tolist())
+_MAX_STEP = 0.008  # largest distance that it is moved for that [m]
 
 
 def torsion_of(friction: float) -> float:
@@ -35,6 +40,13 @@ def with_soft_contacts(item: ObjectDescription, hand: HandDescription) -> Object
     return replace(item, torsional_friction=torsion_of(item.friction))
 
 
+def has_fixed_jaw(hand: HandDescription) -> bool:
+    """True if one jaw turns against a fixed one, which slides a little in place of the arm."""
+    numbers = {link.name: link for link in hand.links}
+    kinds = [numbers[tip.link].sliding for tip in hand.fingertips]
+    return hand.finger_count == SOFT_PAIR and kinds[0] != kinds[1]
+
+
 def with_protruding_tips(hand: HandDescription) -> HandDescription:
     """Move the tips of a two-finger hand towards each other until they protrude 1.5 mm.
 
@@ -43,10 +55,13 @@ def with_protruding_tips(hand: HandDescription) -> HandDescription:
     if hand.finger_count != SOFT_PAIR:
         return hand
     kinematics = HandKinematics(hand)
-    ends = np.clip([kinematics.lower, kinematics.upper], -np.pi, np.pi)
-    middle = kinematics.coupled(ends.mean(axis=0))
-    frames, _ = kinematics.links(middle)
-    tips = kinematics.tips(middle)
+    low, high = np.clip([kinematics.lower, kinematics.upper], -np.pi, np.pi)
+    distance, shares = (_OBLIQUE, _SHARES) if has_fixed_jaw(hand) else (_PROTRUSION, (0.5,))
+    postures = [kinematics.coupled(low + share * (high - low)) for share in shares]
+    tips, frames = min(
+        ((kinematics.tips(posture), kinematics.links(posture)[0]) for posture in postures),
+        key=lambda pair: abs(float(np.linalg.norm(pair[0][1] - pair[0][0])) - _OPENING),
+    )
     across = tips[1] - tips[0]
     across /= max(float(np.linalg.norm(across)), 1e-9)
     links = list(hand.links)
@@ -56,7 +71,9 @@ def with_protruding_tips(hand: HandDescription) -> HandDescription:
     ):
         inward = frames[number].T @ direction
         link = links[number]
-        x, y, z = (np.array(tip.center) + _step_to_protrude(link, tip, inward) * inward).tolist()
+        x, y, z = (
+            np.array(tip.center) + _step_to_protrude(link, tip, inward, distance) * inward
+        ).tolist()
         moved.append(replace(tip, center=(x, y, z)))
         shapes = (
             replace(shape, origin=(x, y, z)) if _is_sphere(shape, tip) else shape
@@ -66,8 +83,8 @@ def with_protruding_tips(hand: HandDescription) -> HandDescription:
     return replace(hand, links=tuple(links), fingertips=tuple(moved))
 
 
-def _step_to_protrude(link: Link, tip: Fingertip, inward: Array) -> float:
-    """Return how far to move a tip along `inward` (3,), link frame, for it to protrude [m].
+def _step_to_protrude(link: Link, tip: Fingertip, inward: Array, distance: float) -> float:
+    """Return how far to move a tip along `inward` (3,), link frame, to protrude by a distance [m].
 
     0 if that is more than `_MAX_STEP`.
     """
@@ -78,7 +95,7 @@ def _step_to_protrude(link: Link, tip: Fingertip, inward: Array) -> float:
         shape for shape in link.collision if not _is_sphere(shape, tip) and shape.kind != "mesh"
     ]
     steps = np.concatenate(
-        [np.zeros(1), *(_PROTRUSION + outline(shape) @ inward - front for shape in others)]
+        [np.zeros(1), *(distance + outline(shape) @ inward - front for shape in others)]
     )
     return float(steps[steps <= _MAX_STEP].max(initial=0.0))
 

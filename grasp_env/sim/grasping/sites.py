@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from grasp_env import core
 from grasp_env.inputs.arguments import Array, Indices, unit_vectors
 from grasp_env.sim.grasping.approach import Approach
+from grasp_env.sim.grasping.pads import has_fixed_jaw
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.kinematics import HandKinematics, motor_force_basis
 from grasp_env.sim.hand.limbs import hand_limbs
@@ -176,7 +177,9 @@ class _Reach:
         self.radius = 0.5 * float(
             np.min(item.extent) if kinematics.hand.finger_count == 2 else np.median(item.extent)
         )
-        self.flatter = _FLATTER if item.shape == "cuboid" else 1.0
+        # a fixed jaw is part of the palm, which the larger ball of the other jaw would always reach
+        flat = item.shape == "cuboid" and not has_fixed_jaw(kinematics.hand)
+        self.flatter = _FLATTER if flat else 1.0
 
     def sites(self, least: int, faced: NDArray[np.bool_]) -> list[Site]:
         """Find sites of `least` fingers or more; mark pairs that face each other in `faced`."""

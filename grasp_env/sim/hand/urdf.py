@@ -8,17 +8,16 @@ import math
 from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from grasp_env.inputs.arguments import Array
 from grasp_env.inputs.files import digest
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.tree import Geometry, Link, Palm, Vector3
 from grasp_env.sim.mesh_files import obj_text
+from grasp_env.sim.mesh_shape import hull_faces
 
 # that Bullet adds around the hulls of a URDF [m]; changeDynamics cannot change it
 HULL_MARGIN = 1e-3
@@ -150,14 +149,3 @@ def _hull_obj(corners: tuple[Vector3, ...], margin: float) -> str:
     return obj_text(
         [hull_faces(shrunk(np.array(corners), margin) if margin > 0.0 else np.array(corners))]
     )
-
-
-def hull_faces(points: Array) -> tuple[Array, Any]:
-    """Return the points (K, 3) and the faces (F, 3) of their hull, counterclockwise from outside."""
-    from scipy.spatial import ConvexHull  # slow to import, and only hulls need it
-
-    hull = ConvexHull(points)
-    faces = hull.simplices
-    a, b, c = (points[faces[:, k]] for k in range(3))
-    inward = np.einsum("fk,fk->f", np.cross(b - a, c - a), hull.equations[:, :3]) < 0.0
-    return points, np.where(inward[:, None], faces[:, ::-1], faces)

@@ -23,8 +23,9 @@ from grasp_env.inputs.files import parsed
 from grasp_env.sim.hand.check import Vector3
 from grasp_env.sim.hand.files.elements import NO_INERTIA, FileJoint, HandFile, names_of
 from grasp_env.sim.hand.files.ends import Ends, find_ends, fitted_tips
+from grasp_env.sim.hand.files.fixed_jaw import fixed_jaw
 from grasp_env.sim.hand.files.groups import Groups
-from grasp_env.sim.hand.files.joints import find_rods, free_ranges, judge_ranges
+from grasp_env.sim.hand.files.joints import fill_ranges, find_rods, free_ranges, judge_ranges
 from grasp_env.sim.hand.files.options import HandOptions, Inertial
 from grasp_env.sim.hand.files.part import arrange, read_part
 from grasp_env.sim.hand.files.plausible import Body, Judge
@@ -89,7 +90,8 @@ class _Importer:
         chosen_tips = options.tips()
         part, links, joints = read_part(file, options.checked_palm(), chosen_tips or {})
         ranges = options.ranges([joint.name for joint in joints if not joint.fixed])
-        joints, frozen = arrange(part, [_ranged(joint, ranges.get(joint.name)) for joint in joints])
+        joints, empty = fill_ranges([_ranged(joint, ranges.get(joint.name)) for joint in joints])
+        joints, frozen = arrange(part, joints)
         joints, wide = judge_ranges(joints, ranges)
         joints, uncoupled = free_ranges(joints, ranges)
         self.use_file_rotors = options.rotor_inertia is None
@@ -98,7 +100,7 @@ class _Importer:
             raise InvalidInputError("; ".join([why, *frozen]))
         # may take seconds, but meshes are cached by content
         self.links = file.with_shapes(links)
-        self.repairs = [*file.notes, *part.notes, *frozen, *wide, *uncoupled]
+        self.repairs = [*file.notes, *part.notes, *empty, *frozen, *wide, *uncoupled]
         self.groups = groups = Groups(part.root, self.links, joints)
         self.moving = groups.moving
         for reason in dict.fromkeys(file.undrawn.values()):
@@ -132,9 +134,13 @@ class _Importer:
             _with_tips(link, [pair for pair in tips if pair[0].link == link.name])
             for link in linked
         ]
-        self.hand = ReadHand(
-            file.name, palm, tuple(linked), tuple(tip for tip, _ in tips), self.repairs
-        )
+        fingertips = [tip for tip, _ in tips]
+        alone = chosen_tips is None and len(fingertips) == 1
+        if alone and (jaw := fixed_jaw(palm, linked, fingertips[0])) is not None:
+            linked.append(jaw[0])
+            fingertips.append(jaw[1])
+            self.repairs.append(jaw[2])
+        self.hand = ReadHand(file.name, palm, tuple(linked), tuple(fingertips), self.repairs)
 
     def _body(self, joint: FileJoint) -> Body:
         carrier, frame = self.groups.places[joint.parent]

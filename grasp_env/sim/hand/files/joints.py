@@ -24,6 +24,8 @@ LARGEST_TURN = 3.3  # largest plausible range of a joint [rad]; a hinge folds by
 # smallest one-sided range [rad], as 0 to pi, that is a placeholder if three joints or more share it
 HALF_TURN = 3.1
 DEGREES = 4.0 * math.pi  # median range [rad] above which all ranges are taken as degrees
+# ranges to either side that are assumed if the file gives none [rad], [m]
+ASSUMED_TURN, ASSUMED_WAY = 0.5 * math.pi, 0.02
 LARGEST_STROKE = 0.5  # largest plausible range of a sliding joint [m]
 # smallest share of a motor's range that coupled joints may leave it, or their limits are ignored
 _LEAST_RANGE = 0.25
@@ -31,6 +33,27 @@ _POSTURES = (0.1, 0.3, 0.5, 0.7, 0.9)  # shares of the motors' ranges at which l
 _PINNED = 0.002  # largest gap between two links joined by a pin [m], as shapes are coarse
 _MOST_FINGERS = 6  # largest number of fingers of a hand
 _SHORTER = 0.9  # largest reach of a rod over that of the finger that it moves
+
+
+def fill_ranges(joints: Sequence[FileJoint]) -> tuple[list[FileJoint], list[str]]:
+    """Return the joints with an assumed range if the file gives none of them one, and a sentence.
+
+    Exporters of CAD programs write lower = upper = 0 for all joints.
+    """
+    empty = [joint for joint in joints if not joint.fixed and joint.mimic is None]
+    if not empty or any(joint.lower != 0.0 or joint.upper != 0.0 for joint in empty):
+        return list(joints), []
+    filled = list[FileJoint]()
+    for joint in joints:
+        end = ASSUMED_WAY if joint.sliding else ASSUMED_TURN
+        if joint.mimic is not None:
+            end = math.inf  # its driver's range counts
+        filled.append(joint if joint.fixed else replace(joint, lower=-end, upper=end))
+    names = names_of([joint.name for joint in empty])
+    return filled, [
+        f"no joint has a range, all are 0 to 0: assumed is {-ASSUMED_TURN:.3g} to {ASSUMED_TURN:.3g} rad, and {-ASSUMED_WAY:g} to {ASSUMED_WAY:g} m of "
+        f"a sliding one, for {names}; give the true ranges as joint_limits="
+    ]
 
 
 def judge_ranges(
@@ -138,7 +161,7 @@ def find_rods(links: Sequence[Link], tips: Sequence[Fingertip]) -> set[str]:
         compared.append((others, (None,)))
     rods = set[str]()
     for pairs, shares in compared:
-        postures = [_frames(links, share) for share in shares] if pairs else []
+        postures = [frames_at(links, share) for share in shares] if pairs else []
         reach = [_reach(tip, postures) for tip in tips]
         for rod, finger in pairs:
             driven = [link for link in chains[finger] if link not in chains[rod]]
@@ -170,7 +193,7 @@ def _chain(links: Sequence[Link], name: str) -> list[Link]:
     return chain
 
 
-def _frames(links: Sequence[Link], share: float | None) -> dict[str, Frame]:
+def frames_at(links: Sequence[Link], share: float | None) -> dict[str, Frame]:
     """Return the frames of the links in the palm's, all motors at a share of their ranges or at 0."""
     angles = dict[str, float]()
     for link in links:

@@ -111,6 +111,7 @@ class _Robot:
         chains: dict[str, list[str]] = {self._root: []}
         lengths = {self._root: 0.0}  # [m] from the first motor of the chain
         arms: dict[str, list[str]] = {}
+        alone = all(len(joints) <= 1 for joints in self._joints.values())
         for group, joints in self._joints.items():
             chain = chains[group]
             for joint, child in joints:
@@ -120,7 +121,9 @@ class _Robot:
             if joints:
                 too_long = len(joints) > 1 and len(chain) > LONGEST_WRIST
             else:
-                too_long = len(chain) > LONGEST_FINGER and lengths[group] > LEAST_ARM
+                # an only chain is a finger, or a small arm with one moving jaw
+                most = LONGEST_WRIST if alone else LONGEST_FINGER
+                too_long = len(chain) > most and lengths[group] > LEAST_ARM
             if too_long:
                 arms[group] = chain
         return arms
@@ -165,7 +168,8 @@ class _Robot:
         where = " and leads to a branching" if self._joints[group] else ""
         palms = " or ".join(f"palm={name!r}" for name in self._palms())
         remedy = f"Name the hand's palm, {palms}"
-        nothing = "No link carries several chains that may be fingers"
+        jaw = self._above[group][1]
+        nothing = f"If the last joint moves a jaw against the link {jaw!r}, name palm={jaw!r}; no link carries several fingers"
         raise InvalidInputError(
             f"this is an arm or a whole robot: the chain of {names_of(chain)} has {len(chain)} motors{where}. "
             f"{remedy if palms else nothing}; palm={self._root!r} reads all of it as one hand"

@@ -95,13 +95,15 @@ class UrdfShapes:
         If all collision meshes are far too large, they are taken as millimetres.
         """
         shapes = {name: self._shapes[name] for name in links}
-        try:
-            solids = self._solids(shapes)
-        except InvalidInputError:
-            scaled = self._in_metres(shapes)
-            if scaled is None:
-                raise
-            shapes, solids = scaled, self._solids(scaled)
+        solids = self._drawn_solids(shapes)
+        if solids is None:
+            try:
+                solids = self._solids(shapes)
+            except InvalidInputError:
+                scaled = self._in_metres(shapes)
+                if scaled is None:
+                    raise
+                shapes, solids = scaled, self._solids(scaled)
         shaped = dict[str, FileLink]()
         for name, link in links.items():
             visual = [
@@ -112,6 +114,23 @@ class UrdfShapes:
                 link, collision=tuple(solids[name]), visual=tuple(filter(None, visual))
             )
         return shaped
+
+    def _drawn_solids(self, shapes: Mapping[str, _Shapes]) -> dict[str, list[Geometry]] | None:
+        """Return what is drawn as collision shapes if no link has any, which is noted; else None.
+
+        They are None, too, if they cannot be read.
+        """
+        if any(pair[0] for pair in shapes.values()):
+            return None
+        try:
+            solids = self._solids({name: (pair[1], []) for name, pair in shapes.items()})
+        except InvalidInputError:
+            return None
+        if any(solids.values()):
+            self.notes.append(
+                "no link has a collision shape, so what is drawn touches instead; give <collision> in the file"
+            )
+        return solids
 
     def _solids(self, shapes: Mapping[str, _Shapes]) -> dict[str, list[Geometry]]:
         """Return the convex collision shapes of each link."""

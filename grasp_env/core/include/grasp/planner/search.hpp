@@ -160,7 +160,7 @@ class GraspSearch {
     constexpr double TOGETHER = 2e-5;
     // fractions of the clearance: from the object; between links
     constexpr double EASIER = 0.9;
-    constexpr double OWN = 1.0 / 3.0;
+    constexpr double OWN = 1.0;
     std::copy(hand_->home.begin(), hand_->home.end(), angles);
     std::copy(angles, angles + hand_->home.size(), start);
     std::vector<double> there;
