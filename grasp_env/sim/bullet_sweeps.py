@@ -68,9 +68,10 @@ def contact_sweeps(config: SceneConfig, angles: Array) -> int:
 
 def _frame(normal: Array) -> Array:
     """Return an orthonormal matrix (3, 3) whose first row is a normal."""
-    side = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
+    side: Any = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
     side /= np.linalg.norm(side)
-    return np.array([normal, side, np.cross(normal, side)])
+    third: Any = np.cross(normal, side)
+    return np.array([normal, side, third])
 
 
 def _sweeps_of_fingers(hand: HandDescription) -> int:

@@ -9,6 +9,7 @@ the forces along the fixed jaw.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -73,9 +74,10 @@ def _gap(nearest: tuple[Array, Array, float]) -> float:
 def _jaw(palm: Palm, links: Sequence[Link], point: Array, outward: Array, radius: float) -> Link:
     """Return the link that slides along `outward` (3,) from a point of the palm (3,) [m]."""
     side = np.eye(3)[np.abs(outward).argmin()]
-    across = np.cross(outward, side)
+    across: Any = np.cross(outward, side)
     across /= np.linalg.norm(across)
-    frame = np.column_stack([across, np.cross(outward, across), outward])
+    third: Any = np.cross(outward, across)
+    frame = np.column_stack([across, third, outward])
     x, y, z = point.tolist()
     center = (0.0, 0.0, _FRONT - radius)
     ball = 0.4 * _MASS * radius**2
