@@ -299,8 +299,9 @@ class HandDescription:
                 the folders above it.
             fingertips: Names of links in the order of the contacts, for a MuJoCo model also of
                 sites and geometries. The fingers get these names. Or a dict from the name of a link
-                to the centre (3,) [m], link frame, and radius [m] of its sphere. None: every moving
-                link at the end of a branch.
+                to the centre (3,) [m], link frame, and radius [m] of its sphere. None: the moving
+                links at the ends of branches, with the tip frames that are fixed to them, without
+                gears and rods. If one jaw moves, the palm's own jaw is the second one.
             palm: Name of the link that becomes the palm, together with everything fixed to it; the
                 hand is what it carries. None: the root link.
             tip_radius: Radius of the sphere [m] at the origin of each named link that has no sphere
