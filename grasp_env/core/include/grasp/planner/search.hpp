@@ -158,9 +158,12 @@ class GraspSearch {
   Fault assemble(const Choice& choice, double clearance, double* angles, double* start) {
     // [m] distance from the object of fingers of one motor when the first touches
     constexpr double TOGETHER = 2e-5;
-    // fractions of the clearance: from the object; between links
+    // fraction of the clearance from the object
     constexpr double EASIER = 0.9;
-    constexpr double OWN = 1.0;
+    // distance between links: a fraction of the clearance, and [m] the least one, as the fingers
+    // deviate from the plan while they close
+    constexpr double OWN = 1.0 / 3.0;
+    constexpr double LEAST_OWN = 5e-4;
     std::copy(hand_->home.begin(), hand_->home.end(), angles);
     std::copy(angles, angles + hand_->home.size(), start);
     std::vector<double> there;
@@ -201,11 +204,12 @@ class GraspSearch {
     }
     const auto [away, keeps_apart] = hand_->clearance(object_, angles, 2.0 * clearance);
     if (away < EASIER * clearance) return near_object;
-    if (!(keeps_apart > OWN * clearance)) return near_itself;
+    const double own = std::max(OWN * clearance, LEAST_OWN);
+    if (!(keeps_apart > own)) return near_itself;
     if (!starts) return no_start;
     const auto [first_away, first_apart] = hand_->clearance(object_, start, 2.0 * clearance);
     if (!(first_away > OWN * clearance)) return start_near_object;
-    return first_apart > OWN * clearance ? none : start_near_itself;
+    return first_apart > own ? none : start_near_itself;
   }
 
   // Return the best choice of each round; each adds the multipliers of the last. No finger may be
