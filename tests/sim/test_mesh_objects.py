@@ -384,3 +384,31 @@ def test_a_fitting_scale_is_proposed(tmp_path, size, words):
         ObjectDescription.from_mesh(tmp_path / "a.stl", mass=0.1)
     assert "scale= of `from_mesh` and size=" in str(told.value)
     assert words in str(told.value)
+
+
+def finned(size: float) -> tuple[Trimesh, Trimesh]:
+    """Return a ball, and the same with a stray face of this size on one of its edges."""
+    ball = creation.icosphere(3, 0.03)
+    a, b = ball.vertices[ball.faces[0, :2]]
+    tip = 0.5 * (a + b) * (1.0 + size / 0.03)
+    corners = np.vstack([ball.vertices, tip])
+    fin = [[ball.faces[0, 0], ball.faces[0, 1], len(ball.vertices)]]
+    return ball, Trimesh(corners, np.vstack([ball.faces, fin]), process=False)
+
+
+def test_loops_where_three_faces_meet_are_closed(tmp_path):
+    """A small stray face becomes a wall, which is dropped; the hole of a large one is an error."""
+    ball, mesh = finned(0.004)
+    item, told = load(tmp_path, mesh, density=DENSITY)
+    assert "small holes were filled with 1 faces" in told
+    assert item.mass == pytest.approx(DENSITY * ball.volume, rel=1e-6)
+    with pytest.raises(InvalidInputError, match="is not closed: 3 edges"):
+        load(tmp_path, finned(0.02)[1], density=DENSITY)
+
+
+def test_of_faces_that_look_both_ways_one_is_kept(tmp_path):
+    solid = box()
+    faces = np.vstack([solid.faces, solid.faces[:, ::-1]])
+    item, told = load(tmp_path, Trimesh(solid.vertices, faces, process=False), density=DENSITY)
+    assert "of faces that look both ways one was kept" in told
+    assert item.mass == pytest.approx(DENSITY * solid.volume, rel=1e-9)
