@@ -182,8 +182,11 @@ class Stage:
                 least=least,
                 approach=self.config.approach,
                 friction_margin=self._margin,
+                keep=self._nominal is None,  # random objects do not come again
             )
 
+        if self._nominal is not None:
+            return place(number)
         grasps = list[HandGrasp]()
         failure: InvalidInputError | None = None
         for seed in range(PLACINGS):

@@ -112,7 +112,10 @@ def test_an_environment_keeps_its_grasp_and_another_begins_with_it(tmp_path, mon
 
 
 def test_what_placing_found_is_kept_by_content(monkeypatch):
-    first = place_hand(HAND, BALL)
+    first = place_hand(HAND, BALL, keep=False)
+    assert entries() == []
+    placing._placed.cache_clear()
+    assert place_hand(HAND, BALL) == first
     assert [(entry.use, entry.name) for entry in entries()] == [
         ("grasp", f"{HAND.name} holds sphere")
     ]

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from grasp_env.errors import InvalidInputError
 from grasp_env.inputs import ranges
-from grasp_env.inputs.arguments import number, whole
+from grasp_env.inputs.arguments import flag, number, whole
 from grasp_env.inputs.files import digest
 from grasp_env.sim.grasping.approach import Approach, as_approach
 from grasp_env.sim.grasping.pads import PATCH_RADIUS, SOFT_PAIR, torsion_of, with_protruding_tips
@@ -51,6 +51,7 @@ def place_hand(
     least: int | None = None,
     approach: ArrayLike | str | None = None,
     friction_margin: float = FRICTION_MARGIN,
+    keep: bool = True,
 ) -> HandGrasp:
     """Choose the palm pose, posture, fingertips and contacts with which a hand holds an object well.
 
@@ -67,6 +68,7 @@ def place_hand(
         approach: Direction from the palm to the object, world frame, within 30 degrees: "down",
             "up", "side", or a vector (3,). None for any.
         friction_margin: Share of the friction that forces may use, 0.01 to 1.
+        keep: Keep the result in the user's cache folder.
 
     Returns:
         The grasp, with the hand at its place. The result is deterministic. The user's cache folder
@@ -94,7 +96,7 @@ def place_hand(
             f"Give the object torsional_friction [m], {torsion_of(item.friction):.2g} with soft pads that touch within {1e3 * PATCH_RADIUS:g} mm"
         )
     margin = number(friction_margin, "friction_margin", ranges.FRICTION_MARGIN)
-    return _placed(hand, item, whole(seed, "seed", 0), least, direction, margin)
+    return _placed(hand, item, whole(seed, "seed", 0), least, direction, margin, flag(keep, "keep"))
 
 
 @lru_cache(maxsize=64)
@@ -105,6 +107,7 @@ def _placed(
     least: int,
     approach: Approach | None,
     margin: float,
+    keep: bool,
 ) -> HandGrasp:
     """Return a grasp from the cache folder, or search for it."""
     wanted = None if approach is None else approach.wanted
@@ -115,7 +118,7 @@ def _placed(
         name,
         lambda: _searched(hand, item, seed, least, approach, margin),
         use="grasp",
-        keep=lambda made: bool(made["in_time"]),
+        keep=lambda made: keep and bool(made["in_time"]),
     )
     if "fault" in kept:
         raise InvalidInputError(str(kept["fault"]))
