@@ -26,8 +26,8 @@ from grasp_env.task import Move
 
 PLACINGS = 3
 """Number of poses that are tried for each object, for a hand that is not `placed`."""
-ENOUGH = 30.0
-"""Force of a grasp [N] above which a hand with a name is placed anew, if that is better."""
+BETTER = 0.75
+"""Share of the force at its own place below which a built-in hand is placed elsewhere."""
 PUSH = 0.5
 """Force along each axis [N] with which places of the hand are compared, besides the weight."""
 POSES = 33
@@ -141,12 +141,12 @@ class Stage:
                 if first:
                     self.scene.keep("settled")
                 return
-            except InvalidInputError as error:
+            except GraspError as error:
                 # that there are no other places tells less than why the hand did not hold
-                if not isinstance(failure, SimulationError):
+                if not isinstance(error, InvalidInputError) or isinstance(
+                    failure, InvalidInputError | None
+                ):
                     failure = error
-            except SimulationError as error:
-                failure = error
         assert failure is not None
         raise failure
 
@@ -215,11 +215,14 @@ class Stage:
     def _own_place(self, item: ObjectDescription) -> HandGrasp:
         """Return the grasp of the hand at its own place, or at a better one if it may move."""
         grasp = self._planned(self._given, item)
-        if self.config.pose_is_given or not ENOUGH < grasp.force < np.inf:
+        if self.config.pose_is_given or np.isinf(grasp.force):
             return grasp
         with suppress(GraspError):
             placed = place_hand(self._given, item, friction_margin=self._margin)
-            if placed.force < grasp.force:
+            if (
+                placed.hand.finger_count == grasp.hand.finger_count
+                and placed.force < BETTER * grasp.force
+            ):
                 return placed
         return grasp
 

@@ -39,7 +39,7 @@ class Cut(NamedTuple):
 
 
 CUTS = (
-    Cut("by_coacd", 2000, 0.04, if_none=False),
+    Cut("by_coacd", 2000, 0.03, if_none=False),
     Cut("by_coacd", 4000, 0.02, if_none=False),
     Cut("by_vhacd", 4000, 0.02, if_none=True),
 )
