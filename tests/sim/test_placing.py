@@ -151,6 +151,16 @@ def test_failures_are_kept_too_but_not_those_of_a_time_limit(monkeypatch):
     assert place_hand(HAND, BALL).hand.finger_count == 3
 
 
+def test_a_grasp_that_is_found_in_the_end_is_kept(monkeypatch):
+    times = iter([0.0, *[0.0] * 3, *[100.0] * 10_000])  # the time is over after the first round
+    monkeypatch.setattr(placing.time, "process_time", lambda: next(times))
+    first = place_hand(HAND, BALL)
+    assert len(entries()) == 1
+    placing._placed.cache_clear()
+    monkeypatch.setattr(placing, "_searched", no_search)
+    assert place_hand(HAND, BALL) == first
+
+
 def test_the_nearest_miss_is_told(monkeypatch):
     """Without friction two fingers cannot balance a weight; their contacts are found."""
     monkeypatch.setattr(placing, "_MAX_ATTEMPTS", 1)
