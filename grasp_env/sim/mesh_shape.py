@@ -66,6 +66,12 @@ def _distinct(cells: Array) -> tuple[Any, Any]:
     return kept, numbers
 
 
+def distinct_faces(faces: Any) -> Any:
+    """Keep one of the faces (F, 3) on the same corners."""
+    first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)[1]
+    return faces[np.sort(first)]
+
+
 def open_edges(faces: Any) -> int:
     """Count the sides of faces without a partner that runs the opposite way."""
     ends = sides_of(faces)

@@ -11,6 +11,7 @@ from grasp_env.errors import InvalidInputError
 from grasp_env.inputs.arguments import Array
 from grasp_env.sim.mesh_shape import (
     WELD,
+    distinct_faces,
     extent_of,
     grouped,
     numbered,
@@ -43,12 +44,10 @@ def close_mesh(corners: Array, faces: Any, name: str) -> tuple[Array, Any, list[
     changes: list[str] = []
     single = _without_walls(faces)
     if len(single) < len(faces):
-        changes.append(_WALLS)
-    distinct = _distinct(faces)
-    if len(single) < _BOTH * len(distinct):  # walls all over: every face looks both ways
-        single = distinct
-        changes[:] = ["of faces that look both ways one was kept"]
-    faces = single
+        distinct = distinct_faces(faces)
+        two_sided = len(single) < _BOTH * len(distinct)
+        faces = distinct if two_sided else single
+        changes.append("of faces that look both ways one was kept" if two_sided else _WALLS)
     if open_edges(faces):
         corners, faces = _repaired(corners, faces, extent, changes)
     if count := open_edges(faces):
@@ -95,12 +94,6 @@ def _repaired(corners: Array, faces: Any, extent: float, changes: list[str]) -> 
         if not open_edges(np.asarray(mesh.faces)):
             break
     return np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces, dtype=np.int64)
-
-
-def _distinct(faces: Any) -> Any:
-    """Keep one of the faces on the same corners."""
-    first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)[1]
-    return faces[np.sort(first)]
 
 
 def _loop_fillings(corners: Array, faces: Any, extent: float) -> Any:

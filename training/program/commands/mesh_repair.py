@@ -12,6 +12,7 @@ from grasp_env.inputs.extras import need
 from grasp_env.sim.mesh_files import obj_text
 from grasp_env.sim.mesh_shape import (
     connected_parts,
+    distinct_faces,
     extent_of,
     open_edges,
     used_corners,
@@ -112,8 +113,7 @@ def closed_parts(corners: Array, faces: Any) -> dict[str, Any]:
     cross.
     """
     corners, faces = weld(corners, faces, _GRAIN * extent_of(corners))
-    _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)  # no duplicates
-    parts = [used_corners(corners, part) for part in connected_parts(faces[np.sort(first)])]
+    parts = [used_corners(corners, part) for part in connected_parts(distinct_faces(faces))]
     closed = [not open_edges(indices) for _, indices in parts]
     all_corners = [np.empty((0, 3))]
     all_faces = [np.empty((0, 3), np.int64)]
