@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from grasp_env.grasp.grasp import Grasp
 from grasp_env.inputs.arguments import Array
 from grasp_env.sim.config import SceneConfig
 from grasp_env.sim.hand.description import HandDescription
@@ -43,35 +44,21 @@ def contact_sweeps(config: SceneConfig, angles: Array) -> int:
     points = np.array(config.contact_points)
     motors = kinematics.motors
     mobility = np.linalg.inv(kinematics.mass_matrix(angles)[np.ix_(motors, motors)])
-    frames = [_frame(normal) for normal in config.contact_normals]
+    grasp = Grasp.from_contacts(points, config.contact_normals, config.object.friction)
     moves = np.concatenate(
         [
-            frame @ kinematics.jacobian(angles, finger, point)[:, motors]
-            for finger, (frame, point) in enumerate(zip(frames, points, strict=True))
-        ]
-    )
-    of_object = np.concatenate(
-        [
-            np.hstack([frame, np.cross(point, frame)])
-            for frame, point in zip(frames, points, strict=True)
+            frame.T @ kinematics.jacobian(angles, finger, point)[:, motors]
+            for finger, (frame, point) in enumerate(zip(grasp.frames, points, strict=True))
         ]
     )
     inverse = 1.0 / np.array([config.object.mass] * 3 + [*config.object.moments])
-    matrix = moves @ mobility @ moves.T + (of_object * inverse) @ of_object.T
+    matrix = moves @ mobility @ moves.T + (grasp.matrix.T * inverse) @ grasp.matrix
     lower = np.tril(matrix)
     rates: Any = np.linalg.eigvals(np.linalg.solve(lower, matrix - lower))
     error = float(np.abs(rates).max())
     if not error < np.exp(np.log(_LEFT) / MAX_CONTACT_SWEEPS):
         return MAX_CONTACT_SWEEPS
     return int(np.ceil(np.log(_LEFT) / np.log(max(error, _LEFT))))
-
-
-def _frame(normal: Array) -> Array:
-    """Return an orthonormal matrix (3, 3) whose first row is a normal."""
-    side: Any = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
-    side /= np.linalg.norm(side)
-    third: Any = np.cross(normal, side)
-    return np.array([normal, side, third])
 
 
 def _sweeps_of_fingers(hand: HandDescription) -> int:

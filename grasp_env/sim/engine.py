@@ -50,7 +50,8 @@ class BulletEngine(EngineSettings):
         20,
         integer(1, _MAX_SWEEPS),
         "Sweeps of the contact solver in one step; at least 40 if a finger has more than three joints, 60 if contacts are "
-        "soft, 800 if a finger has fewer than three motors.",
+        "soft, 800 if a finger has fewer than three motors, and as many as leave a thousandth of the error of sticking contacts, "
+        "up to 2000.",
     )
     mesh_contacts: str | None = setting(
         None,
