@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from grasp_env.force import optimize_forces
 from grasp_env.grasp.grasp import Grasp
 from grasp_env.inputs.arguments import Array, Indices
 from grasp_env.sim.hand.kinematics import HandKinematics, motor_force_basis
+from grasp_env.sim.snapshot import Snapshot
 
 MAX_CARRIED = 0.65
 """Largest share of a finger's force that its structure may carry without a warning.
@@ -19,7 +20,7 @@ In 34 grasps by five hands (Dex3, Linker O7, Ability, BrainCo, iCub) the engines
 Bullet held 26 of 32 trials, MuJoCo 27. Above it Bullet held 30 of 104, MuJoCo 69."""
 
 
-class Posture(Protocol):
+class Posture(NamedTuple):
     """A posture of a hand around an object.
 
     Attributes:
@@ -27,25 +28,6 @@ class Posture(Protocol):
         touch: (N, 3) points where the fingertips touch [m], world frame.
         rotation: (3, 3) rotation from the object to the world.
     """
-
-    @property
-    def angles(self) -> Array:
-        """(M,) joint angles."""
-        ...
-
-    @property
-    def touch(self) -> Array:
-        """(N, 3) points where the fingertips touch."""
-        ...
-
-    @property
-    def rotation(self) -> Array:
-        """(3, 3) rotation from the object to the world."""
-        ...
-
-
-class PlannedPosture(NamedTuple):
-    """A posture before it is taken; see `Posture`."""
 
     angles: Array
     touch: Array
@@ -85,9 +67,9 @@ class FingerStructure(NamedTuple):
 
 
 def finger_structure(
-    posture: Posture, kinematics: HandKinematics, grasp: Grasp, wrenches: Array
+    posture: Posture | Snapshot, kinematics: HandKinematics, grasp: Grasp, wrenches: Array
 ) -> FingerStructure:
-    """Return the shares of the forces that structure carries in a posture, as a `Snapshot` has it.
+    """Return the shares of the forces that structure carries in a posture.
 
     Contact forces f take the motor torques J^T f, with J the Jacobian of all contacts. The part of
     f in the null space of J^T takes no torque, and no torque changes it. `wrenches` (K, 6) are

@@ -11,7 +11,7 @@ import numpy as np
 from grasp_env.config import EnvConfig
 from grasp_env.control.closing import close_hand, take_over
 from grasp_env.control.loop import ForceLoop
-from grasp_env.control.structure import MAX_CARRIED, PlannedPosture, finger_structure
+from grasp_env.control.structure import MAX_CARRIED, Posture, finger_structure
 from grasp_env.errors import GraspError, InvalidInputError, SimulationError
 from grasp_env.force.margin import Margin
 from grasp_env.inputs.arguments import warn
@@ -173,41 +173,43 @@ class Stage:
 
         First is one whose motors make most of its forces; without one, that with the largest share.
         """
-
-        def place(seed: int) -> HandGrasp:
-            return place_hand(
-                hand,
-                item,
-                seed=seed,
-                least=least,
-                approach=self.config.approach,
-                friction_margin=self._margin,
-                keep=self._nominal is None,  # random objects do not come again
-            )
-
         if self._nominal is not None:
-            return place(number)
-        grasps = list[HandGrasp]()
+            return self._place(hand, item, least, number)
+        found = list[tuple[float, HandGrasp]]()
         failure: InvalidInputError | None = None
         for seed in range(PLACINGS):
             try:
-                grasps.append(place(seed))
+                grasp = self._place(hand, item, least, seed)
             except InvalidInputError as error:
                 failure = error
                 continue
-            if self._carried(grasps[-1], item) <= MAX_CARRIED:
+            found.append((self._carried(grasp, item), grasp))
+            if found[-1][0] <= MAX_CARRIED:
                 break
-        if failure is not None and number >= len(grasps):
+        if failure is not None and number >= len(found):
             raise failure
-        grasps.sort(key=lambda grasp: self._carried(grasp, item))
-        return grasps[number] if number < len(grasps) else place(number)
+        found.sort(key=lambda pair: pair[0])
+        return found[number][1] if number < len(found) else self._place(hand, item, least, number)
+
+    def _place(
+        self, hand: HandDescription, item: ObjectDescription, least: int | None, seed: int
+    ) -> HandGrasp:
+        return place_hand(
+            hand,
+            item,
+            seed=seed,
+            least=least,
+            approach=self.config.approach,
+            friction_margin=self._margin,
+            keep=self._nominal is None,  # random objects do not come again
+        )
 
     def _carried(self, grasp: HandGrasp, item: ObjectDescription) -> float:
         """Return the largest share of a finger's force that no motor makes, with some loads."""
         weight = [*np.multiply(item.mass, self.config.gravity), 0.0, 0.0, 0.0]
         pushes = np.diag([PUSH] * 3 + [0.0] * 3)
         loads = weight + np.concatenate([np.zeros((1, 6)), pushes, -pushes])
-        posture = PlannedPosture(grasp.angles, grasp.points, np.eye(3))
+        posture = Posture(grasp.angles, grasp.points, np.eye(3))
         contacts = Margin(self._margin, 0.0).narrowed(grasp.contacts())
         structure = finger_structure(posture, HandKinematics(grasp.hand), contacts, loads)
         return float(structure.share.max())
@@ -218,7 +220,7 @@ class Stage:
         if self.config.pose_is_given or np.isinf(grasp.force):
             return grasp
         with suppress(GraspError):
-            placed = place_hand(self._given, item, friction_margin=self._margin)
+            placed = self._place(self._given, item, None, 0)
             if (
                 placed.hand.finger_count == grasp.hand.finger_count
                 and placed.force < BETTER * grasp.force
