@@ -5,10 +5,9 @@ from __future__ import annotations
 import json
 import os
 import time
-from dataclasses import replace
 from functools import lru_cache
 from itertools import combinations
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,9 +21,8 @@ from grasp_env.sim.grasping.pads import PATCH_RADIUS, SOFT_PAIR, torsion_of, wit
 from grasp_env.sim.grasping.points import FRICTION_MARGIN, GraspPlan, plan_grasp
 from grasp_env.sim.grasping.record import HandGrasp, fingerprint
 from grasp_env.sim.grasping.sites import find_sites
-from grasp_env.sim.grasping.trials import Candidate, Trials
+from grasp_env.sim.grasping.trials import Candidate, Trials, at_place
 from grasp_env.sim.hand.description import HandDescription
-from grasp_env.sim.hand.frames import roll_pitch_yaw
 from grasp_env.sim.hand.kinematics import HandKinematics
 from grasp_env.sim.objects.cache import cached
 from grasp_env.sim.objects.description import ObjectDescription, sides_text
@@ -96,27 +94,36 @@ def place_hand(
             f"Give the object torsional_friction [m], {torsion_of(item.friction):.2g} with soft pads that touch within {1e3 * PATCH_RADIUS:g} mm"
         )
     margin = number(friction_margin, "friction_margin", ranges.FRICTION_MARGIN)
-    return _placed(hand, item, whole(seed, "seed", 0), least, direction, margin, flag(keep, "keep"))
+    request = _Request(hand, item, whole(seed, "seed", 0), least, direction, margin)
+    return _placed(request, flag(keep, "keep"))
+
+
+class _Request(NamedTuple):
+    """The checked arguments of `place_hand`."""
+
+    hand: HandDescription
+    item: ObjectDescription
+    seed: int
+    least: int
+    approach: Approach | None
+    margin: float
+
+    @property
+    def key(self) -> str:
+        """A digest that differs if the grasp may differ."""
+        wanted = None if self.approach is None else self.approach.wanted
+        options = json.dumps([_VERSION, self.seed, self.least, wanted, self.margin]).encode()
+        return digest(options, fingerprint(self.hand, self.item))
 
 
 @lru_cache(maxsize=64)
-def _placed(
-    hand: HandDescription,
-    item: ObjectDescription,
-    seed: int,
-    least: int,
-    approach: Approach | None,
-    margin: float,
-    keep: bool,
-) -> HandGrasp:
+def _placed(request: _Request, keep: bool) -> HandGrasp:
     """Return a grasp from the cache folder, or search for it."""
-    wanted = None if approach is None else approach.wanted
-    options = json.dumps([_VERSION, seed, least, wanted, margin]).encode()
-    name = f"{hand.name} holds {os.path.basename(item.mesh) if item.mesh else item.shape}"
+    hand, item = request.hand, request.item
     kept = cached(
-        digest(options, fingerprint(hand, item)),
-        name,
-        lambda: _searched(hand, item, seed, least, approach, margin),
+        request.key,
+        f"{hand.name} holds {os.path.basename(item.mesh) if item.mesh else item.shape}",
+        lambda: _searched(request),
         use="grasp",
         # a faster machine may find a grasp where this one's time was over
         keep=lambda made: keep and ("fault" not in made or bool(made["in_time"])),
@@ -125,28 +132,20 @@ def _placed(
         raise InvalidInputError(str(kept["fault"]))
     x, y, z = kept["position"].tolist()
     roll, pitch, yaw = kept["rotation"].tolist()
-    protruding = with_protruding_tips(hand)
-    tips = tuple(protruding.fingertips[finger] for finger in kept["fingers"].tolist())
-    home = tuple(kept["home"].tolist())
-    placed = replace(protruding, fingertips=tips, home=home)
+    position, rotation = (x, y, z), (roll, pitch, yaw)
+    fingers = kept["fingers"].tolist()
+    placed = at_place(with_protruding_tips(hand), fingers, kept["home"], position, rotation)
     plan = GraspPlan(
         *(kept[name] for name in ("points", "normals", "angles", "start")),
         force=float(kept["force"]),
         clearance=float(kept["clearance"]),
     )
-    position, rotation = (x, y, z), (roll, pitch, yaw)
-    return HandGrasp.of_plan(placed.moved(position, rotation), item, plan, position, rotation)
+    return HandGrasp.of_plan(placed, item, plan, position, rotation)
 
 
-def _searched(
-    hand: HandDescription,
-    item: ObjectDescription,
-    seed: int,
-    least: int,
-    approach: Approach | None,
-    margin: float,
-) -> dict[str, Any]:
+def _searched(request: _Request) -> dict[str, Any]:
     """Search for a grasp; return the arrays that the cache keeps, or "fault" with a message."""
+    hand, item, seed, least, approach, margin = request
     rng = np.random.default_rng(seed)
     trials = Trials(hand, item, margin)
     end = time.process_time() + LONGEST
@@ -200,10 +199,11 @@ def _searched(
         fault = _fault(trials, places, misdirected, faced, approach, bool(in_time))
         return {"fault": np.array(fault), "in_time": in_time}
     _, plan, candidate = best
+    position, rotation = candidate.place
     return {
         "fingers": np.array(candidate.fingers),
-        "position": candidate.shift,
-        "rotation": np.array(roll_pitch_yaw(candidate.turn)),
+        "position": np.array(position),
+        "rotation": np.array(rotation),
         "home": candidate.home,
         **{name: np.asarray(value) for name, value in vars(plan).items()},
         "in_time": in_time,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -14,6 +15,7 @@ from grasp_env.sim.grasping.approach import palm_direction
 from grasp_env.sim.grasping.pads import SOFT_PAIR, with_protruding_tips
 from grasp_env.sim.grasping.points import MISSES, GraspPlan, GraspSearch
 from grasp_env.sim.grasping.sites import Site, one_motor
+from grasp_env.sim.hand.check import Vector3
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.frames import roll_pitch_yaw
 from grasp_env.sim.hand.kinematics import HandKinematics, motor_force_basis
@@ -37,6 +39,25 @@ class Candidate(NamedTuple):
     home: Array  # rest posture [rad], (M,)
     turn: Array  # rotation of the hand, (3, 3)
     shift: Array  # translation of the hand [m], (3,)
+
+    @property
+    def place(self) -> tuple[Vector3, Vector3]:
+        """Position [m], and roll, pitch and yaw [rad], of the hand."""
+        x, y, z = self.shift.tolist()
+        return (x, y, z), roll_pitch_yaw(self.turn)
+
+
+def at_place(
+    hand: HandDescription,
+    fingers: Sequence[int],
+    home: Array,
+    position: Vector3,
+    rotation: Vector3,
+) -> HandDescription:
+    """Return a hand at a place, with some of its fingertips and a rest posture (M,) [rad]."""
+    tips = tuple(hand.fingertips[finger] for finger in fingers)
+    posed = replace(hand, fingertips=tips, home=tuple(home.tolist()))
+    return posed.moved(position, rotation)
 
 
 class Trials:
@@ -90,8 +111,7 @@ class Trials:
             if (what in MISSES) == bool(missing)
         ]
         fault = max(faults, default=(0, "out of reach"))[1]
-        x, y, z = (1e3 * candidate.shift).tolist()
-        roll, pitch, yaw = roll_pitch_yaw(candidate.turn)
+        (x, y, z), (roll, pitch, yaw) = candidate.place
         what = (
             f"{missing} finds none, most candidates are {fault}"
             if missing
@@ -99,7 +119,7 @@ class Trials:
         )
         self._nearest = (
             len(reached),
-            f"The nearest miss, with the palm at ({x:.0f}, {y:.0f}, {z:.0f}) mm turned by ({roll:.2f}, {pitch:.2f}, {yaw:.2f}) rad: "
+            f"The nearest miss, with the palm at ({1e3 * x:.0f}, {1e3 * y:.0f}, {1e3 * z:.0f}) mm turned by ({roll:.2f}, {pitch:.2f}, {yaw:.2f}) rad: "
             f"{found} find contacts, {what}. ",
         )
 
@@ -162,10 +182,7 @@ class Trials:
 
     def placed(self, candidate: Candidate) -> HandDescription:
         """Return the hand in the pose of a candidate."""
-        x, y, z = candidate.shift.tolist()
-        hand = self._subhand(candidate.fingers)[0].hand
-        hand = replace(hand, home=tuple(candidate.home.tolist()))
-        return hand.moved((x, y, z), roll_pitch_yaw(candidate.turn))
+        return at_place(self.hand, candidate.fingers, candidate.home, *candidate.place)
 
     def _subhand(self, fingers: tuple[int, ...]) -> tuple[HandKinematics, core.HandLimbs]:
         """Return kinematics and limbs of the hand with only these fingertips."""
