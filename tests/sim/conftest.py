@@ -10,6 +10,21 @@ from hands import grasp_torques
 
 from grasp_env.sim import BulletEngine, MujocoEngine, ObjectDescription, Scene
 from grasp_env.sim.config import SceneConfig
+from grasp_env.sim.grasping import placing
+from grasp_env.sim.objects import mesh
+
+
+@pytest.fixture
+def own_cache(tmp_path, monkeypatch):
+    """An empty cache of meshes and grasps, in memory and on disk."""
+    kept = (mesh._load, placing._placed)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    for each in kept:
+        each.cache_clear()
+    yield
+    for each in kept:
+        each.cache_clear()
+
 
 SQUEEZE = np.array([1.0, 0.4, 0.3, 0.3])  # normal forces of the reference grasp that balance
 OBJECT = ("shape", "size", "mass", "friction", "inertia", "mesh")

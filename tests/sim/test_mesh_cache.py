@@ -29,15 +29,7 @@ from grasp_env.sim.objects.reading import open_mesh, read_mesh
 from training.program.cli import main
 from training.program.commands import mesh_repair
 
-
-@pytest.fixture(autouse=True)
-def own_cache(tmp_path, monkeypatch):
-    """An empty cache, in memory and on disk."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    mesh._load.cache_clear()
-    yield
-    mesh._load.cache_clear()
-
+pytestmark = pytest.mark.usefixtures("own_cache")
 
 BALL = trimesh.creation.icosphere(2, 0.05)
 CORNERS = np.asarray(BALL.vertices)

@@ -28,13 +28,7 @@ HAND = gripper(3, 2)
 ENV = "grasp_env:FourFingerGrasp-v0"
 
 
-@pytest.fixture(autouse=True)
-def own_cache(tmp_path, monkeypatch):
-    """An empty cache, in memory and on disk."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    placing._placed.cache_clear()
-    yield
-    placing._placed.cache_clear()
+pytestmark = pytest.mark.usefixtures("own_cache")
 
 
 def no_search(*_: Any) -> Any:
