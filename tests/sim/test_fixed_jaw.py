@@ -108,3 +108,19 @@ def test_joints_without_any_range_get_one(tmp_path):
     assert "no joint has a range, all are 0 to 0: assumed is -1.57 to 1.57 rad" in told
     assert hand.links[0].lower == -hand.links[0].upper == pytest.approx(-0.5 * np.pi)
     assert read(tmp_path, text, joint_limits={"grip": (0.0, 1.0)})[0].links[0].upper == 1.0
+
+
+def test_a_range_that_is_given_leaves_the_others_assumed(tmp_path):
+    """Who follows the advice for one joint does not freeze the others."""
+    text = GRIPPER.replace('upper="1.2"', 'upper="0"').replace(
+        "</robot>",
+        f'<link name="wheel">{INERTIAL}{JAW}</link><joint name="roll" type="revolute"><parent link="wrist"/>'
+        '<child link="wheel"/><origin xyz="-0.05 0 0"/><axis xyz="0 1 0"/><limit lower="0" upper="0" effort="1"/>'
+        "</joint></robot>",
+    )
+    hand, told = read(tmp_path, text, joint_limits={"grip": (0.0, 1.0)})
+    assert {link.joint: link.upper for link in hand.links} == {
+        "grip": 1.0,
+        "roll": pytest.approx(0.5 * np.pi),
+    }
+    assert "of a sliding one, for 'roll'; give the true ranges" in told

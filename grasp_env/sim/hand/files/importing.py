@@ -90,8 +90,8 @@ class _Importer:
         chosen_tips = options.tips()
         part, links, joints = read_part(file, options.checked_palm(), chosen_tips or {})
         ranges = options.ranges([joint.name for joint in joints if not joint.fixed])
-        joints, empty = fill_ranges([_ranged(joint, ranges.get(joint.name)) for joint in joints])
-        joints, frozen = arrange(part, joints)
+        joints, empty = fill_ranges(joints, ranges)
+        joints, frozen = arrange(part, [_ranged(joint, ranges.get(joint.name)) for joint in joints])
         joints, wide = judge_ranges(joints, ranges)
         joints, uncoupled = free_ranges(joints, ranges)
         self.use_file_rotors = options.rotor_inertia is None

@@ -35,10 +35,13 @@ _MOST_FINGERS = 6  # largest number of fingers of a hand
 _SHORTER = 0.9  # largest reach of a rod over that of the finger that it moves
 
 
-def fill_ranges(joints: Sequence[FileJoint]) -> tuple[list[FileJoint], list[str]]:
+def fill_ranges(
+    joints: Sequence[FileJoint], given: Collection[str]
+) -> tuple[list[FileJoint], list[str]]:
     """Return the joints with an assumed range if the file gives none of them one, and a sentence.
 
-    Exporters of CAD programs write lower = upper = 0 for all joints.
+    Exporters of CAD programs write lower = upper = 0 for all joints. The sentence leaves out those
+    in `given`, whose ranges the caller knows.
     """
     empty = [joint for joint in joints if not joint.fixed and joint.mimic is None]
     if not empty or any(joint.lower != 0.0 or joint.upper != 0.0 for joint in empty):
@@ -49,7 +52,10 @@ def fill_ranges(joints: Sequence[FileJoint]) -> tuple[list[FileJoint], list[str]
         if joint.mimic is not None:
             end = math.inf  # its driver's range counts
         filled.append(joint if joint.fixed else replace(joint, lower=-end, upper=end))
-    names = names_of([joint.name for joint in empty])
+    assumed = [joint.name for joint in empty if joint.name not in given]
+    if not assumed:
+        return filled, []
+    names = names_of(assumed)
     return filled, [
         f"no joint has a range, all are 0 to 0: assumed is {-ASSUMED_TURN:.3g} to {ASSUMED_TURN:.3g} rad, and {-ASSUMED_WAY:g} to {ASSUMED_WAY:g} m of "
         f"a sliding one, for {names}; give the true ranges as joint_limits="
