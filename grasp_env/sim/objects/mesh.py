@@ -19,8 +19,8 @@ from grasp_env.sim.objects.pieces import FAR, Excess, convex_pieces
 from grasp_env.sim.objects.reading import open_mesh, read_mesh
 
 _VERSION = "9"  # part of the cache's key: increase it when the processed arrays change
-NEAR, THIN = 0.003, 0.1
-"""Excess distance [m] and volume of the pieces above which a warning gives both."""
+# excess distance [m] and volume of the pieces above which a warning gives both
+_NEAR, _THIN = 0.003, 0.1
 # relative difference of moments, or product of inertia, below which axes are not distinguished
 _SAME_MOMENT = 1e-6
 
@@ -74,15 +74,15 @@ def load_mesh(path: str, scale: float, tell: bool = True) -> Mesh:
             f"{name} has {mesh.parts} parts that are not connected: they are held and move as one rigid body; give other objects files of "
             "their own"
         )
-    if tell and (excess := pieces_stand_out(mesh)):
+    if tell and (excess := _standing_out(mesh)):
         warn(f"{name}: {excess}")
     return mesh
 
 
-def pieces_stand_out(mesh: Mesh) -> str:
+def _standing_out(mesh: Mesh) -> str:
     """Return a sentence on convex pieces that stand far out of a mesh, or ""."""
-    distance, volume = mesh.excess
-    if distance <= NEAR and volume <= THIN:
+    distance, more = mesh.excess
+    if distance <= _NEAR and more <= _THIN:
         return ""
     contacts = (
         "Bullet collides with the faces instead (mesh_contacts)"
@@ -90,7 +90,7 @@ def pieces_stand_out(mesh: Mesh) -> str:
         else "for exact contacts use Bullet with mesh_contacts='faces'"
     )
     return (
-        f"its convex pieces stand out by up to {1e3 * distance:.1f} mm and have {volume:.0%} more volume. Fingers keep away from them; {contacts}, "
+        f"its convex pieces stand out by up to {1e3 * distance:.1f} mm and have {more:.0%} more volume. Fingers keep away from them; {contacts}, "
         "and MuJoCo always collides with the pieces"
     )
 

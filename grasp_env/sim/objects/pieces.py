@@ -32,9 +32,7 @@ class Cut(NamedTuple):
 
     task: str  # function of this module
     faces: int  # number to which the mesh is simplified
-    concavity: (
-        float  # largest one of a piece: about how far it protrudes, over half the mesh's size
-    )
+    concavity: float  # largest one of a piece: its protrusion over half the mesh's size, about
     if_none: bool  # only if no other cut succeeds
 
 
