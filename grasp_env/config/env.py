@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
@@ -25,7 +26,6 @@ from grasp_env.config.records import (
 )
 from grasp_env.errors import InvalidInputError, UnknownSettingError, shown
 from grasp_env.inputs.arguments import AllFaults, as_array, warn
-from grasp_env.inputs.files import as_path
 from grasp_env.settings import (
     ANY,
     About,
@@ -108,7 +108,11 @@ def _hand_grasp(value: Any, name: str) -> HandGrasp:
         return value
     if isinstance(value, dict):
         return hand_grasp_of(value, name)
-    return HandGrasp.load(as_path(value, InvalidInputError, name))
+    if not isinstance(value, str | os.PathLike):
+        raise InvalidInputError(
+            f"{name} must be a HandGrasp, its dict, or the path of its file, got {shown(value)}"
+        )
+    return HandGrasp.load(value)
 
 
 def _written_grasp(value: Any, name: str) -> Any:

@@ -13,7 +13,7 @@ from hands import gripper
 
 from grasp_env.config.env import as_config
 from grasp_env.control.hand import HandController, HandControllerSettings
-from grasp_env.errors import GraspFileError, InvalidInputError
+from grasp_env.errors import GraspError, GraspFileError, InvalidInputError
 from grasp_env.force import optimize_force
 from grasp_env.grasp import load_grasp, presets, save_grasp
 from grasp_env.sim import HandDescription, HandGrasp, HandKinematics, ObjectDescription, place_hand
@@ -99,6 +99,14 @@ def test_an_environment_keeps_its_grasp_and_another_begins_with_it(tmp_path, mon
             assert as_config(env.unwrapped.config.to_json()).grasp == grasp
             np.testing.assert_array_equal(env.reset(seed=0)[0], first)
             assert env.step(np.zeros(env.action_space.shape, np.float32))[4]["is_success"]
+    for wrong, words in (
+        (3, "grasp must be a HandGrasp, its dict, or the path of its file, got 3"),
+        ({**grasp.to_dict(), "hand": 3}, "hand must be an object {...} that HandGrasp.save wrote"),
+        (tmp_path / "none.json", "cannot read grasp file"),
+    ):
+        with pytest.raises(GraspError) as told:
+            gym.make(ENV, grasp=wrong, **settings)
+        assert words in str(told.value)
     with pytest.raises(InvalidInputError, match="grasp has a hand and its contact points: leave"):
         gym.make(ENV, grasp=grasp, approach="down", **settings)
     with pytest.raises(InvalidInputError, match="grasp belong to one shape and size"):

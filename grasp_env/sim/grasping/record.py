@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from grasp_env.errors import GraspError, GraspFileError
+from grasp_env.errors import GraspError, GraspFileError, shown
 from grasp_env.grasp.files import of_plain, read_plain, to_plain, write_plain
 from grasp_env.grasp.grasp import Grasp
 from grasp_env.inputs.arguments import Array, as_array
@@ -164,9 +164,13 @@ def hand_grasp_of(values: Any, name: str) -> HandGrasp:
     """
     contacts = of_plain(values, name)
     more = values.get("hand")
-    if not isinstance(more, dict):
+    if more is None:
         raise GraspFileError(
             f"{name} has contacts, but no hand: give a file that HandGrasp.save wrote"
+        )
+    if not isinstance(more, dict):
+        raise GraspFileError(
+            f"{name}: hand must be an object {{...}} that HandGrasp.save wrote, got {shown(more)}"
         )
     missing = [key for key in ("description", *_ARRAYS, "force", "clearance") if key not in more]
     if missing:

@@ -69,30 +69,32 @@ def load_mesh(path: str, scale: float, tell: bool = True) -> Mesh:
         warn(
             f"{name} was repaired: {'; '.join(mesh.changes)}. `grasp object show FILE --draw PICTURE` shows the result"
         )
-    if mesh.parts > 1 and tell:
-        warn(
-            f"{name} has {mesh.parts} parts that are not connected: they are held and move as one rigid body; give other objects files of "
-            "their own"
-        )
-    if tell and (excess := _standing_out(mesh)):
-        warn(f"{name}: {excess}")
+    for remark in remarks(mesh) if tell else ():
+        warn(f"{name}: {remark}")
     return mesh
 
 
-def _standing_out(mesh: Mesh) -> str:
-    """Return a sentence on convex pieces that stand far out of a mesh, or ""."""
+def remarks(mesh: Mesh) -> list[str]:
+    """Return sentences on what a user may not expect of a mesh, besides its repairs."""
+    found = list[str]()
+    if mesh.parts > 1:
+        found.append(
+            f"it has {mesh.parts} parts that are not connected: they are held and move as one rigid body; give other objects files of "
+            "their own"
+        )
     distance, more = mesh.excess
     if distance <= _NEAR and more <= _THIN:
-        return ""
+        return found
     contacts = (
         "Bullet collides with the faces instead (mesh_contacts)"
         if mesh.coarse
         else "for exact contacts use Bullet with mesh_contacts='faces'"
     )
-    return (
+    found.append(
         f"its convex pieces stand out by up to {1e3 * distance:.1f} mm and have {more:.0%} more volume. Fingers keep away from them; {contacts}, "
         "and MuJoCo always collides with the pieces"
     )
+    return found
 
 
 @lru_cache(maxsize=16)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import time
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -72,7 +71,7 @@ class Object:
         console = Console()
         for item in page:
             is_text = isinstance(item, str)
-            style = "yellow" if is_text and item.startswith("repaired") else None
+            style = "yellow" if is_text and item.startswith(("repaired", "note")) else None
             console.print(item, style=style, highlight=False, soft_wrap=is_text)
 
     def _check(self) -> None:
@@ -96,14 +95,12 @@ class Object:
         from grasp_env.sim.mesh_shape import scale_advice
         from grasp_env.sim.objects.cache import folder
         from grasp_env.sim.objects.description import GRASPABLE, check_extent
-        from grasp_env.sim.objects.mesh import load_mesh
+        from grasp_env.sim.objects.mesh import load_mesh, remarks
         from grasp_env.sim.picture.portrait import mesh_portrait
 
         whole(self.size, "size", 16, 4096)
         _check_suffix(self.draw, "--draw", ".png")
-        with warnings.catch_warnings(record=True) as repairs:
-            warnings.simplefilter("always")
-            mesh = load_mesh(str(self.file), real(POSITIVE).take(self.scale, "scale"))
+        mesh = load_mesh(str(self.file), real(POSITIVE).take(self.scale, "scale"), tell=False)
         fitting = scale_advice(max(mesh.extent) / self.scale, GRASPABLE)
         check_extent(mesh.extent, "mesh", f"give --scale {fitting or 'another number'}")
         if self.draw is not None:
@@ -118,7 +115,8 @@ class Object:
             "pieces": len(mesh.pieces),
             "pieces_stand_out": mesh.excess.distance,
             "pieces_volume_share": mesh.excess.volume,
-            "repaired": [str(warning.message) for warning in repairs],
+            "repaired": list(mesh.changes),
+            "remarks": remarks(mesh),
             "kept_in": folder() if os.access(folder(), os.W_OK) else None,
             "picture": self.draw,
         }
@@ -179,12 +177,13 @@ def _shown_page(facts: dict[str, Any]) -> list[Any]:
     table.add_row("convex pieces", str(facts["pieces"]))
     table.add_row("they stand out by up to, mm", f"{1e3 * facts['pieces_stand_out']:.1f}")
     table.add_row("volume that they have more", f"{facts['pieces_volume_share']:.0%}")
-    repaired = [f"repaired: {text}" for text in facts["repaired"]]
+    told = [f"repaired: {text}" for text in facts["repaired"]]
+    told += [f"note: {text}" for text in facts["remarks"]]
     kept = "not kept: the cache folder cannot be written"
     if facts["kept_in"]:
         kept = f"kept in {facts['kept_in']}"
     picture = [] if facts["picture"] is None else [str(facts["picture"])]
-    return [table, *repaired, kept, *picture]
+    return [table, *told, kept, *picture]
 
 
 def _repaired_page(facts: dict[str, Any]) -> list[Any]:
