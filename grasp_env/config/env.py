@@ -9,6 +9,7 @@ from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
 from functools import cache
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -112,7 +113,7 @@ def _hand_grasp(value: Any, name: str) -> HandGrasp:
         raise InvalidInputError(
             f"{name} must be a HandGrasp, its dict, or the path of its file, got {shown(value)}"
         )
-    return HandGrasp.load(value)
+    return HandGrasp.load(Path(value))
 
 
 def _written_grasp(value: Any, name: str) -> Any:
