@@ -142,11 +142,11 @@ def test_mending_that_fails(tmp_path, answer, monkeypatch):
 
 
 def test_list_and_clear(tmp_path, answer, capsys):
-    assert answer("list") == (0, {"folder": str(folder()), "meshes": []})
+    assert answer("list") == (0, {"folder": str(folder()), "entries": []})
     for name, solid in (("ball", BALL), ("box", trimesh.creation.box((0.05, 0.06, 0.07)))):
         ObjectDescription.from_mesh(save(tmp_path / f"{name}.obj", solid.vertices, solid.faces))
     (folder() / "spoiled.npz").write_bytes(b"no archive")
-    told = {entry["name"]: entry for entry in answer("list")[1]["meshes"]}
+    told = {entry["name"]: entry for entry in answer("list")[1]["entries"]}
     assert {name: entry["pieces"] for name, entry in told.items()} == {
         "ball.obj": 1,
         "box.obj": 1,

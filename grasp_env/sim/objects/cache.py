@@ -1,4 +1,4 @@
-"""Cache of processed meshes in the user's cache folder, keyed by content, safe for processes."""
+"""Cache of meshes and grasps in the user's cache folder, keyed by content, safe for processes."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ class Entry(NamedTuple):
     """An entry of the cache."""
 
     path: Path
-    name: str  # of the mesh
-    use: str  # "object" or "hand"
+    name: str  # of the mesh, or what holds what
+    use: str  # "object", "hand" or "grasp"
     size: int  # [bytes]
     time: float  # of creation [s]
 
@@ -48,9 +48,9 @@ def cached(
 ) -> dict[str, Any]:
     """Return the arrays that `make` returns, from the cache if it has them.
 
-    The key, of letters and digits, identifies the content. Name and use ("object" or "hand") of the
-    mesh are for the list of entries. `keep` decides if what was made is kept. A folder that cannot be written or an entry that cannot be
-    read only costs time.
+    The key, of letters and digits, identifies the content. Name and use ("object", "hand" or
+    "grasp") are for the list of entries. `keep` decides if what was made is kept. A folder that
+    cannot be written or an entry that cannot be read only costs time.
     """
     if arrays := lookup(key):
         return arrays
@@ -86,7 +86,7 @@ def entries() -> list[Entry]:
 
 
 def clear() -> int:
-    """Remove all entries; return the number of meshes."""
+    """Remove all entries; return their number."""
     count = 0
     for path in [*folder().glob(_ENTRIES), *folder().glob("*.lock")]:
         with suppress(OSError):

@@ -31,7 +31,7 @@ _NEAR = 1e-5  # share of the extent within which the centres of equal triangles 
 
 @dataclass(frozen=True)
 class Object:
-    """Show how a mesh is read, repair it, or list the cache.
+    """Show how a mesh is read, repair it, or list what is cached.
 
     `grasp object show mug.obj --draw mug.png`
     `grasp object mend torn.obj`
@@ -40,7 +40,7 @@ class Object:
 
     Attributes:
         what: show (how a mesh file is read), mend (repair a torn mesh by MeshFix and write it),
-            list (the cached meshes of objects and hands) or clear (that cache).
+            list (the cached meshes and grasps) or clear (that cache).
         file: show and mend: a mesh, .obj, .stl, .ply, .off, .glb or .dae.
         scale: show: factor from the file's unit to metres, 0.001 for millimetres.
         draw: show: .png for a picture of the mesh beside its convex pieces, each in its own colour.
@@ -205,19 +205,23 @@ def _repaired_page(facts: dict[str, Any]) -> list[Any]:
 def _list() -> tuple[dict[str, Any], list[Any]]:
     from grasp_env.sim.objects.cache import entries, folder
 
-    meshes = []
+    kept = []
     rows = []
     for entry in entries():
         pieces = _pieces(entry.path)
-        mesh = {"name": entry.name, "use": entry.use, "bytes": entry.size, "time": entry.time}
-        meshes.append({**mesh, "pieces": pieces})
+        facts = {"name": entry.name, "use": entry.use, "bytes": entry.size, "time": entry.time}
+        kept.append({**facts, "pieces": pieces})
         when = time.strftime("%Y-%m-%d %H:%M", time.localtime(entry.time))
         rows.append((entry.name, entry.use, f"{entry.size / 1e3:.0f}", when, str(pieces or "")))
-    title = f"{len(meshes)} meshes, {sum(mesh['bytes'] for mesh in meshes) / 1e6:.1f} MB"
-    table = make_table(title, "mesh", "use", "kB", "made", "convex pieces")
+    title = f"{_counted(len(kept))}, {sum(facts['bytes'] for facts in kept) / 1e6:.1f} MB"
+    table = make_table(title, "mesh or grasp", "use", "kB", "made", "convex pieces")
     for row in rows:
         table.add_row(*row)
-    return {"folder": folder(), "meshes": meshes}, [table, f"in {folder()}"]
+    return {"folder": folder(), "entries": kept}, [table, f"in {folder()}"]
+
+
+def _counted(entries: int) -> str:
+    return f"{entries} {'entry' if entries == 1 else 'entries'}"
 
 
 def _pieces(path: Path) -> int | None:
@@ -233,8 +237,7 @@ def _clear() -> tuple[dict[str, Any], list[Any]]:
     from grasp_env.sim.objects.cache import clear, folder
 
     count = clear()
-    noun = "mesh" if count == 1 else "meshes"
-    return {"folder": folder(), "removed": count}, [f"removed {count} {noun} from {folder()}"]
+    return {"folder": folder(), "removed": count}, [f"removed {_counted(count)} from {folder()}"]
 
 
 def _count_common(before: Array, after: Array) -> int:
