@@ -83,6 +83,20 @@ class InvalidInputError(GraspError):
     """An argument has the wrong shape, is not finite, or lies outside its range."""
 
 
+class NoGraspError(InvalidInputError):
+    """No place of the palm was found from which a hand grasps an object.
+
+    Args:
+        message: what was tried.
+        nearest: the `NearestMiss` of the search, whose `draw` shows it; None if no finger found a
+            contact.
+    """
+
+    def __init__(self, message: str, nearest: Any = None) -> None:
+        super().__init__(message)
+        self.nearest = nearest
+
+
 class UnknownNameError(GraspError, KeyError):
     """A method, rule, preset or option name does not exist.
 

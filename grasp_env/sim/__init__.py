@@ -4,6 +4,7 @@ from grasp_env.inputs.extras import need
 
 with need("sim"):
     from grasp_env.sim.engine import BulletEngine, MujocoEngine
+    from grasp_env.sim.grasping.miss import NearestMiss
     from grasp_env.sim.grasping.placing import place_hand
     from grasp_env.sim.grasping.record import HandGrasp
     from grasp_env.sim.hand.description import HANDS, FingerDescription, HandDescription
@@ -19,6 +20,7 @@ __all__ = [
     "HandGrasp",
     "HandKinematics",
     "MujocoEngine",
+    "NearestMiss",
     "ObjectDescription",
     "Scene",
     "place_hand",

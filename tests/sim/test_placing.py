@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 from contextlib import closing
 from typing import Any
 
@@ -10,16 +11,21 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from hands import gripper
+from PIL import Image
 
 from grasp_env.config.env import as_config
 from grasp_env.control.hand import HandController, HandControllerSettings
-from grasp_env.errors import GraspError, GraspFileError, InvalidInputError
+from grasp_env.errors import GraspError, GraspFileError, InvalidInputError, NoGraspError
 from grasp_env.force import optimize_force
 from grasp_env.grasp import load_grasp, presets, save_grasp
 from grasp_env.sim import HandDescription, HandGrasp, HandKinematics, ObjectDescription, place_hand
 from grasp_env.sim.config import START_CLEARANCE
 from grasp_env.sim.grasping import placing, sites
+from grasp_env.sim.grasping.miss import NearestMiss
+from grasp_env.sim.grasping.points import GraspSearch, limbs_of
 from grasp_env.sim.objects.cache import entries
+from grasp_env.sim.picture.portrait import grasp_portrait
+from training.program import film
 from training.program.cli import main
 
 BALL = ObjectDescription("sphere", (0.06,), mass=0.15, friction=0.7)
@@ -163,16 +169,94 @@ def test_a_grasp_that_is_found_in_the_end_is_kept(monkeypatch):
     assert place_hand(HAND, BALL) == first
 
 
-def test_the_nearest_miss_is_told(monkeypatch):
-    """Without friction two fingers cannot balance a weight; their contacts are found."""
+SLIPPERY = ObjectDescription("sphere", (0.06,), mass=0.15, friction=1e-3)
+
+
+@pytest.fixture
+def short_search(monkeypatch):
     monkeypatch.setattr(placing, "_MAX_ATTEMPTS", 1)
     monkeypatch.setattr(sites, "_ROUNDS", 4)
-    slippery = ObjectDescription("sphere", (0.06,), mass=0.15, friction=1e-3)
-    with pytest.raises(InvalidInputError) as told:
-        place_hand(HAND, slippery)
+
+
+@pytest.mark.usefixtures("short_search")
+def test_the_nearest_miss_is_told_kept_and_drawn(monkeypatch, tmp_path):
+    """Without friction three fingers cannot balance a weight; their contacts are found."""
+    with pytest.raises(NoGraspError) as told:
+        place_hand(HAND, SLIPPERY)
     words = str(told.value)
     assert "The nearest miss, with the palm at (" in words
     assert "f0, f1, f2 find contacts, their choices are without force closure" in words
+    nearest = told.value.nearest
+    assert (nearest.reached, nearest.item) == (("f0", "f1", "f2"), SLIPPERY)
+    # the tips are where contacts were looked for
+    kinematics = HandKinematics(nearest.hand)
+    gaps = [SLIPPERY.surface.nearest(tip)[2] for tip in kinematics.tips(kinematics.home)]
+    assert np.abs(gaps - kinematics.tip_radii).max() < 0.02
+    # it comes again from the cache, and passes between processes
+    monkeypatch.setattr(placing, "_searched", no_search)
+    with pytest.raises(NoGraspError) as again:
+        place_hand(HAND, SLIPPERY)
+    assert (str(again.value), again.value.nearest) == (words, nearest)
+    assert pickle.loads(pickle.dumps(told.value)).nearest == nearest
+    picture = nearest.draw(tmp_path / "new" / "miss.png", 200)
+    with Image.open(picture) as image:
+        assert image.size == (400, 200)
+    with pytest.raises(InvalidInputError, match=r"must end with .png, got 'miss.jpg'"):
+        nearest.draw("miss.jpg")
+    with pytest.raises(InvalidInputError, match="size must be an integer >= 16, got 2"):
+        nearest.draw("miss.png", 2)
+
+
+def test_a_picture_of_a_grasp_shows_which_tips_touch():
+    item = ObjectDescription("capsule", (0.02, 0.05))
+    red, green = (
+        grasp_portrait(HAND, item, touching, 200).astype(int)
+        for touching in ((), HAND.finger_names)
+    )
+    differ = np.abs(red - green).max(axis=-1) > 60
+    assert differ.sum() > 100
+    assert (red[differ].argmax(axis=-1) == 0).all()
+    assert (green[differ].argmax(axis=-1) == 1).all()
+
+
+@pytest.mark.parametrize(
+    "item",
+    [
+        ObjectDescription("cuboid", (0.02, 0.2, 0.02)),
+        ObjectDescription("cylinder", (0.02, 0.2)),
+        ObjectDescription("capsule", (0.02, 0.2)),
+    ],
+    ids=lambda item: item.shape,
+)
+def test_a_picture_shows_the_object_upright(item):
+    lying = ObjectDescription("cuboid", (0.2, 0.02, 0.02))
+    whole = {each: grasp_portrait(HAND, each, (), 120).astype(int) for each in (item, lying)}
+    sizes = []
+    for picture in whole.values():
+        yellow = (picture[:, :120, 0] - picture[:, :120, 2] > 25).nonzero()
+        sizes.append(np.ptp(yellow[0]) / np.ptp(yellow[1]))
+    assert sizes[0] > 2.0 > 0.7 > sizes[1]
+
+
+def test_where_the_palm_is_in_the_object_nothing_is_reached():
+    large = ObjectDescription("cuboid", (0.4, 0.4, 0.4))
+    search = GraspSearch(large, limbs_of(HandKinematics(HAND)), HAND, 0.8)
+    assert search.run(np.random.default_rng(0)) is None
+    assert search.in_palm
+    assert search.reached == [False] * 3
+    assert search.faults == {"with the object in the palm": 1}
+
+
+def test_demo_draws_the_nearest_miss_beside_the_video(monkeypatch, tmp_path, capsys):
+    def fail(*_: Any, **__: Any) -> Any:
+        raise NoGraspError("no place", NearestMiss(HAND, BALL, ("f0",)))
+
+    monkeypatch.setattr(film, "record", fail)
+    assert main(["demo", "--video", str(tmp_path / "hand.webp")]) == 2
+    said = capsys.readouterr().err
+    assert f"the nearest miss: {tmp_path / 'hand-miss.png'}" in said
+    assert "no place" in said
+    assert {path.name for path in tmp_path.glob("hand*")} == {"hand-miss.png"}
 
 
 def test_a_hand_with_a_name_is_placed_anew_where_its_own_place_fails():

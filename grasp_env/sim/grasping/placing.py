@@ -12,16 +12,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from grasp_env.errors import InvalidInputError
+from grasp_env.errors import InvalidInputError, NoGraspError
 from grasp_env.inputs import ranges
 from grasp_env.inputs.arguments import flag, number, whole
 from grasp_env.inputs.files import digest
 from grasp_env.sim.grasping.approach import Approach, as_approach
+from grasp_env.sim.grasping.miss import NearestMiss
 from grasp_env.sim.grasping.pads import PATCH_RADIUS, SOFT_PAIR, torsion_of, with_protruding_tips
 from grasp_env.sim.grasping.points import FRICTION_MARGIN, GraspPlan, plan_grasp
 from grasp_env.sim.grasping.record import HandGrasp, fingerprint
 from grasp_env.sim.grasping.sites import find_sites
 from grasp_env.sim.grasping.trials import Candidate, Trials, at_place
+from grasp_env.sim.hand.check import Vector3
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.kinematics import HandKinematics
 from grasp_env.sim.objects.cache import cached
@@ -29,7 +31,7 @@ from grasp_env.sim.objects.description import ObjectDescription, sides_text
 
 LONGEST = 20.0
 """Most processor time of a search [s]."""
-_VERSION = 3  # part of the cache's key: increase it when a search may find another grasp
+_VERSION = 4  # part of the cache's key: increase it when a search may find another grasp
 
 # attempts to find a good grasp; attempts to find any, or one that is not weak
 _ATTEMPTS, _MAX_ATTEMPTS = 3, 6
@@ -73,9 +75,10 @@ def place_hand(
         keeps it by the content of hand and object, and failures, too.
 
     Raises:
-        InvalidInputError: No palm pose was found, or none in `LONGEST` seconds; the message counts
-            the reasons and describes the nearest miss. Or the hand has two fingers and the object
-            no `torsional_friction`.
+        NoGraspError: No palm pose was found, or none in `LONGEST` seconds; the message counts the
+            reasons and describes the nearest miss, which the error's `nearest` draws.
+        InvalidInputError: The hand has two fingers and the object no `torsional_friction`, or an
+            argument is not allowed.
 
     Example:
         >>> ball = ObjectDescription("sphere", (0.06,), mass=0.15, friction=0.7)
@@ -128,19 +131,41 @@ def _placed(request: _Request, keep: bool) -> HandGrasp:
         # a faster machine may find a grasp where this one's time was over
         keep=lambda made: keep and ("fault" not in made or bool(made["in_time"])),
     )
+    posed = _posed(hand, kept) if "home" in kept else hand
     if "fault" in kept:
-        raise InvalidInputError(str(kept["fault"]))
-    x, y, z = kept["position"].tolist()
-    roll, pitch, yaw = kept["rotation"].tolist()
-    position, rotation = (x, y, z), (roll, pitch, yaw)
-    fingers = kept["fingers"].tolist()
-    placed = at_place(with_protruding_tips(hand), fingers, kept["home"], position, rotation)
+        reached = tuple(hand.finger_names[finger] for finger in kept.get("reached", ()))
+        nearest = NearestMiss(posed, item, reached) if reached else None
+        raise NoGraspError(str(kept["fault"]), nearest)
     plan = GraspPlan(
         *(kept[name] for name in ("points", "normals", "angles", "start")),
         force=float(kept["force"]),
         clearance=float(kept["clearance"]),
     )
-    return HandGrasp.of_plan(placed, item, plan, position, rotation)
+    return HandGrasp.of_plan(posed, item, plan, *_place_of(kept))
+
+
+def _kept(candidate: Candidate) -> dict[str, Any]:
+    """Return the arrays that the cache keeps of a candidate."""
+    position, rotation = candidate.place
+    return {
+        "fingers": np.array(candidate.fingers),
+        "position": np.array(position),
+        "rotation": np.array(rotation),
+        "home": candidate.home,
+    }
+
+
+def _place_of(kept: dict[str, Any]) -> tuple[Vector3, Vector3]:
+    """Return position [m], and roll, pitch and yaw [rad], of a candidate in the cache."""
+    x, y, z = kept["position"].tolist()
+    roll, pitch, yaw = kept["rotation"].tolist()
+    return (x, y, z), (roll, pitch, yaw)
+
+
+def _posed(hand: HandDescription, kept: dict[str, Any]) -> HandDescription:
+    """Return the hand in the pose of a candidate in the cache."""
+    fingers = kept["fingers"].tolist()
+    return at_place(with_protruding_tips(hand), fingers, kept["home"], *_place_of(kept))
 
 
 def _searched(request: _Request) -> dict[str, Any]:
@@ -197,14 +222,12 @@ def _searched(request: _Request) -> dict[str, Any]:
     in_time = np.array(time.process_time() <= end)
     if best is None:
         fault = _fault(trials, places, misdirected, faced, approach, bool(in_time))
-        return {"fault": np.array(fault), "in_time": in_time}
+        miss = trials.nearest
+        pose = {} if miss is None else {**_kept(miss.candidate), "reached": np.array(miss.reached)}
+        return {"fault": np.array(fault), "in_time": in_time, **pose}
     _, plan, candidate = best
-    position, rotation = candidate.place
     return {
-        "fingers": np.array(candidate.fingers),
-        "position": np.array(position),
-        "rotation": np.array(rotation),
-        "home": candidate.home,
+        **_kept(candidate),
         **{name: np.asarray(value) for name, value in vars(plan).items()},
         "in_time": in_time,
     }
@@ -226,7 +249,7 @@ def _fault(
     return (
         f"no palm pose was found{limit} in which the hand {hand.name!r} grasps the {item.shape} of "
         f"{sides_text(item.extent)}: its fingers can surround it at {places} places{note if misdirected else ''}; of the "
-        f"candidates tried there {counts or 'none is left'}. {trials.nearest_miss()}{'' if places else _never_facing(hand, faced)}"
+        f"candidates tried there {counts or 'none is left'}. {trials.nearest_text()}{'' if places else _never_facing(hand, faced)}"
         f"{_wide_joints(hand)}Use an object of another size or more friction, another seed, or place the hand by `HandDescription.moved` "
         "and `home`"
     )

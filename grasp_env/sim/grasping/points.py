@@ -204,7 +204,7 @@ class GraspSearch:
 
     It draws candidate contacts for each finger, chooses among them, and finds postures of the
     whole hand. `faults` counts rejected candidates by reason, and `short` how often each finger
-    had no candidate.
+    had no candidate. `reached` tells which fingers had one with those margins with which most had.
     """
 
     def __init__(
@@ -218,6 +218,7 @@ class GraspSearch:
         self.margin = friction_margin
         self.faults = Counter[str]()
         self.short = [0] * hand.finger_count
+        self.reached = [False] * hand.finger_count
         self._gap = limbs.palm_gap(item.surface)
         length = 0.5 * float(np.mean(item.extent))
         self._spread = [*item.extent, *[2.0 * _SPREAD] * 3]
@@ -234,6 +235,11 @@ class GraspSearch:
             directions=_spread_directions(),
         )
 
+    @property
+    def in_palm(self) -> bool:
+        """True if the palm is where the object is; no contact is tried then."""
+        return self._gap < _MARGINS[-1][2]
+
     def run(
         self, rng: np.random.Generator, tries: int = _TRIES, rays: int = _RAYS
     ) -> GraspPlan | None:
@@ -241,7 +247,8 @@ class GraspSearch:
 
         None if no grasp is found.
         """
-        if self._gap < _MARGINS[-1][2]:
+        if self.in_palm:
+            self.faults["with the object in the palm"] += 1
             return None
         for margins in _MARGINS[:1] + _MARGINS[1:] * tries:
             counts = [
@@ -251,6 +258,8 @@ class GraspSearch:
             for finger, count in enumerate(counts):
                 self.short[finger] += count == 0
                 self.faults.update(dict(zip(MISSES, self.core.misses(finger), strict=True)))
+            reached = [count > 0 for count in counts]
+            self.reached = max(reached, self.reached, key=sum)
             if min(counts) > 0 and (plan := self._best(rng, margins[2])) is not None:
                 return plan
         return None
@@ -258,7 +267,7 @@ class GraspSearch:
     def reason(self) -> str:
         """Explain why `run` found no grasp."""
         name = f"the {self.item.shape} of {sides_text(self.item.extent)}"
-        if self._gap < _MARGINS[-1][2]:
+        if self.in_palm:
             return (
                 f"{name} reaches {-1e3 * self._gap:.1f} mm into the palm of the hand {self.hand.name!r}; "
                 "use a smaller object or a palm further away"

@@ -47,6 +47,14 @@ class Candidate(NamedTuple):
         return (x, y, z), roll_pitch_yaw(self.turn)
 
 
+class Miss(NamedTuple):
+    """A candidate without a grasp."""
+
+    candidate: Candidate
+    reached: tuple[int, ...]  # fingers that find contacts
+    fault: str  # why most of its choices fail
+
+
 def at_place(
     hand: HandDescription,
     fingers: Sequence[int],
@@ -69,7 +77,7 @@ class Trials:
         self.margin = margin
         self.faults = Counter[str]()
         self._pairs = touching_pairs(hand, at_home=False)
-        self._nearest: tuple[int, str] = 0, ""  # fingers that found contacts, and why it failed
+        self.nearest: Miss | None = None
         self._subhands: dict[tuple[int, ...], tuple[HandKinematics, core.HandLimbs]] = {}
 
     def grasp(
@@ -85,6 +93,8 @@ class Trials:
             self.faults.update(search.faults)
             if plan is not None:
                 return candidate._replace(home=plan.start)
+            if search.in_palm:
+                return None
             self._remember(candidate, search)
             if not max(search.short):
                 return None
@@ -94,38 +104,37 @@ class Trials:
         return None
 
     def _remember(self, candidate: Candidate, search: GraspSearch) -> None:
-        """Keep what is missing of a candidate if more fingers find contacts than before."""
-        reached = [
-            finger
-            for finger, short in zip(candidate.fingers, search.short, strict=True)
-            if not short
-        ]
-        if len(reached) <= self._nearest[0]:
+        """Keep a candidate without a grasp if more fingers find contacts than before."""
+        reached = tuple(
+            finger for finger, found in zip(candidate.fingers, search.reached, strict=True) if found
+        )
+        if len(reached) <= (0 if self.nearest is None else len(self.nearest.reached)):
             return
-        names = self.hand.finger_names
-        found = ", ".join(names[finger] for finger in reached)
-        missing = ", ".join(names[finger] for finger in candidate.fingers if finger not in reached)
         faults = [
             (count, what)
             for what, count in search.faults.items()
-            if (what in MISSES) == bool(missing)
+            if (what in MISSES) == (reached != candidate.fingers)
         ]
-        fault = max(faults, default=(0, "out of reach"))[1]
+        self.nearest = Miss(candidate, reached, max(faults)[1])
+
+    def nearest_text(self) -> str:
+        """Return a sentence on the candidate that came nearest to a grasp, or ""."""
+        if self.nearest is None:
+            return ""
+        candidate, reached, fault = self.nearest
+        names = self.hand.finger_names
+        found = ", ".join(names[finger] for finger in reached)
+        missing = ", ".join(names[finger] for finger in candidate.fingers if finger not in reached)
         (x, y, z), (roll, pitch, yaw) = candidate.place
         what = (
             f"{missing} finds none, most candidates are {fault}"
             if missing
             else f"their choices are {fault}"
         )
-        self._nearest = (
-            len(reached),
+        return (
             f"The nearest miss, with the palm at ({1e3 * x:.0f}, {1e3 * y:.0f}, {1e3 * z:.0f}) mm turned by ({roll:.2f}, {pitch:.2f}, {yaw:.2f}) rad: "
-            f"{found} find contacts, {what}. ",
+            f"{found} find contacts, {what}; `nearest.draw(path)` of this error draws it. "
         )
-
-    def nearest_miss(self) -> str:
-        """Return a sentence on the candidate that came nearest to a grasp, or ""."""
-        return self._nearest[1]
 
     def _closed(self, candidate: Candidate) -> Candidate:
         """Move a hand whose fingers share their motors until all tips touch."""

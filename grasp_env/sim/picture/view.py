@@ -8,10 +8,15 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from grasp_env.inputs.arguments import Array, unit_vectors
+from grasp_env.inputs.arguments import Array, unit_vectors, whole
 from grasp_env.sim.hand.description import Vector3
 
 NEAR_PLANE, FAR_PLANE = 0.05, 5.0  # least and largest distance from the camera that is drawn [m]
+
+
+def picture_size(size: int) -> int:
+    """Return the height of a picture [pixels], or raise `InvalidInputError`."""
+    return whole(size, "size", 16, 4096)
 
 
 @dataclass(frozen=True)

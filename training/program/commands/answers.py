@@ -1,15 +1,11 @@
-"""Output of sub-commands: JSON, tables and pictures."""
+"""Output of sub-commands: JSON and tables."""
 
 from __future__ import annotations
 
-import io
 import json
 import math
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-from grasp_env.inputs.files import replacing
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -55,13 +51,3 @@ def write_report(run: Run, quick: bool = False) -> None:
     if quick:
         sys.stdout.write("QUICK RUN: few trials; do not quote.\n")
     sys.stdout.writelines(f"{line}\n" for line in lines(claims))
-
-
-def save_picture(pixels: Any, path: Path) -> None:
-    """Write pixels (height, width, 3) as a .png file."""
-    from PIL import Image
-
-    image = io.BytesIO()  # writing to a file, the encoder would not tell why it failed
-    Image.fromarray(pixels).save(image, format="PNG")
-    with replacing(path) as temporary:
-        temporary.write_bytes(image.getbuffer())

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from grasp_env.errors import InvalidInputError
+from grasp_env.errors import InvalidInputError, NoGraspError
 from grasp_env.inputs.extras import need
 from grasp_env.task.disturbance import DISTURBANCES
 from grasp_env.task.motion import MOTIONS
@@ -22,6 +22,8 @@ class Demo:
     """Roll out the hand, save a picture or a video, and print the outcome.
 
     The picture shows forces, friction cones and the wrench.
+
+    If no place of the hand is found, hand-miss.png shows the nearest miss.
 
     Attributes:
         video: .webp or .gif for a video, .mp4 with the extra "video", .png for its last picture.
@@ -78,13 +80,21 @@ class Demo:
             settings["disturbance"] = self.disturbance or (
                 "paper_path" if self.task == "hold" else None
             )
-        ending = record(
-            self.video,
-            self.seconds or None,
-            rule(self.initial) if agent is None else None,
-            self.seed,
-            policy=agent,
-            config=None if agent is None else agent.meta["env_settings"],
-            **{"pictures.size": self.size, **settings, **given},
-        )
+        try:
+            ending = record(
+                self.video,
+                self.seconds or None,
+                rule(self.initial) if agent is None else None,
+                self.seed,
+                policy=agent,
+                config=None if agent is None else agent.meta["env_settings"],
+                **{"pictures.size": self.size, **settings, **given},
+            )
+        except NoGraspError as error:
+            if error.nearest is not None:
+                picture = error.nearest.draw(self.video.with_name(f"{self.video.stem}-miss.png"))
+                Console(stderr=True).print(
+                    f"the nearest miss: {picture}", highlight=False, soft_wrap=True
+                )
+            raise
         Console().print(f"{ending}: {self.video}", highlight=False)

@@ -15,7 +15,7 @@ from rich.console import Console
 
 from grasp_env.errors import InvalidInputError
 from grasp_env.inputs.extras import need
-from training.program.commands.answers import make_table, save_picture
+from training.program.commands.answers import make_table
 from training.program.commands.options import left_out, pairs_of
 
 if TYPE_CHECKING:
@@ -52,10 +52,11 @@ class Hand:
     def execute(self) -> None:
         """Run the command."""
         need("sim")
-        from grasp_env.inputs.arguments import choice, whole
+        from grasp_env.inputs.arguments import choice
         from grasp_env.sim.hand.description import HANDS, HandDescription
+        from grasp_env.sim.picture.view import picture_size
 
-        whole(self.size, "size", 16, 4096)
+        picture_size(self.size)
         with warnings.catch_warnings(record=True) as repairs:
             warnings.simplefilter("always")
             if self.hand in HANDS:
@@ -85,7 +86,7 @@ class Hand:
                 f"repaired: {warning.message}", style="yellow", highlight=False, soft_wrap=True
             )
         if self.draw is not None:
-            from grasp_env.sim.picture.portrait import portrait
+            from grasp_env.sim.picture.portrait import portrait, save_picture
 
             save_picture(portrait(hand, self.size), self.draw)
             console.print(str(self.draw), highlight=False, soft_wrap=True)

@@ -16,7 +16,7 @@ from grasp_env.errors import InvalidInputError
 from grasp_env.inputs.arguments import Array
 from grasp_env.inputs.extras import need
 from grasp_env.inputs.files import replacing
-from training.program.commands.answers import make_table, save_picture, write_json
+from training.program.commands.answers import make_table, write_json
 from training.program.commands.options import left_out, misplaced
 
 ACTIONS = {
@@ -90,15 +90,15 @@ class Object:
             )
 
     def _show(self) -> tuple[dict[str, Any], list[Any]]:
-        from grasp_env.inputs.arguments import whole
         from grasp_env.settings import POSITIVE, real
         from grasp_env.sim.mesh_shape import scale_advice
         from grasp_env.sim.objects.cache import folder
         from grasp_env.sim.objects.description import GRASPABLE, check_extent
         from grasp_env.sim.objects.mesh import load_mesh, remarks
-        from grasp_env.sim.picture.portrait import mesh_portrait
+        from grasp_env.sim.picture.portrait import mesh_portrait, save_picture
+        from grasp_env.sim.picture.view import picture_size
 
-        whole(self.size, "size", 16, 4096)
+        picture_size(self.size)
         _check_suffix(self.draw, "--draw", ".png")
         mesh = load_mesh(str(self.file), real(POSITIVE).take(self.scale, "scale"), tell=False)
         fitting = scale_advice(max(mesh.extent) / self.scale, GRASPABLE)
