@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -20,11 +19,11 @@ from grasp_env.sim.mesh_shape import (
     volume,
     weld,
 )
+from grasp_env.sim.objects.seams import loop_fillings, split_sides, without_sheets
 
 _SEAM = 1e-5  # distance within which corners of open seams are merged, relative to the extent
 _MIN_VOLUME = 1e-6  # least volume of a solid, relative to the cube of its extent
 _BOTH = 0.5  # share of the faces that walls leave below which a mesh has two-sided faces
-_HOLE = 0.1  # largest extent of a small hole, relative to the extent
 _WALLS = "duplicate faces and faces back to back were dropped"
 _FLAT_VOLUME = 1e-12  # volume below which a part is only faces back to back, relative to that cube
 _SAME_ANGLE = 1e-6  # angle below which faces lie back to back [rad]
@@ -36,8 +35,9 @@ def close_mesh(corners: Array, faces: Any, name: str) -> tuple[Array, Any, list[
     """Return the corners (V, 3) and faces (F, 3) of a closed solid, and a list of the repairs.
 
     Coincident corners and faces are merged. Then, until the mesh is closed, trimesh orients faces
-    alike, seams are welded, and trimesh fills holes; small ones that it leaves are filled by fans.
-    Manifold unites overlapping parts; a part inside out within another is a cavity.
+    alike, seams are welded, sides are split at corners of others, and trimesh fills holes; small
+    ones that it leaves are filled by fans, and walls between joined solids are dropped. Manifold
+    unites overlapping parts; a part inside out within another is a cavity.
     """
     extent = extent_of(corners)
     corners, faces = weld(corners, faces, WELD * extent)
@@ -75,6 +75,16 @@ def _repaired(corners: Array, faces: Any, extent: float, changes: list[str]) -> 
         mesh.vertices, mesh.faces = points, triangles
         return f"{count} corners were joined with others within {_SEAM:g} of its size"
 
+    def split(mesh: Any) -> str:
+        faces, count = split_sides(
+            np.asarray(mesh.vertices), np.asarray(mesh.faces), _SEAM * extent
+        )
+        if count:
+            mesh.faces = faces
+        return (
+            f"{count} faces were split where corners of others lie on their sides" if count else ""
+        )
+
     def fill(mesh: Any) -> str:
         before = len(mesh.faces)
         trimesh.repair.fill_holes(mesh, use_fan=True)
@@ -82,50 +92,25 @@ def _repaired(corners: Array, faces: Any, extent: float, changes: list[str]) -> 
         return f"holes were filled with {count} faces" if count > 0 else ""
 
     def fill_loops(mesh: Any) -> str:
-        added = _loop_fillings(np.asarray(mesh.vertices), np.asarray(mesh.faces), extent)
+        added = loop_fillings(np.asarray(mesh.vertices), np.asarray(mesh.faces), extent)
         if len(added):
             mesh.faces = np.concatenate([mesh.faces, added])
         return f"small holes were filled with {len(added)} faces" if len(added) else ""
 
+    def drop_sheets(mesh: Any) -> str:
+        faces = without_sheets(np.asarray(mesh.vertices), np.asarray(mesh.faces))
+        count = len(mesh.faces) - len(faces)
+        if count:
+            mesh.faces = faces
+        return f"{count} faces of inner walls were dropped" if count else ""
+
     mesh = trimesh.Trimesh(corners, faces, process=False)
-    for repair in (turn, weld_seams, fill, turn, fill_loops):
+    for repair in (turn, weld_seams, split, fill, turn, split, fill_loops, drop_sheets, turn):
         if change := repair(mesh):
             changes.append(change)
         if not open_edges(np.asarray(mesh.faces)):
             break
     return np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces, dtype=np.int64)
-
-
-def _loop_fillings(corners: Array, faces: Any, extent: float) -> Any:
-    """Return faces (F, 3) that fill all loops of open edges; none if a loop is larger than `_HOLE`.
-
-    The sides of faces without a partner that runs the opposite way form loops, also where more than
-    two faces meet.
-    """
-    sides = sides_of(faces)
-    pairs, number = numbered(sides)
-    forward = sides[:, 0] < sides[:, 1]
-    surplus = np.bincount(number, np.where(forward, 1.0, -1.0)).astype(int)
-    after: dict[int, list[int]] = {}  # the corners to which a missing side runs from each corner
-    for (low, high), count in zip(pairs[surplus != 0].tolist(), surplus[surplus != 0], strict=True):
-        start, end = (high, low) if count > 0 else (low, high)
-        after.setdefault(start, []).extend([end] * abs(int(count)))
-    added: list[tuple[int, int, int]] = []
-    for start in list(after):
-        while after[start]:
-            path = [start]
-            while len(path) == 1 or path[-1] != start:
-                path.append(after[path[-1]].pop())
-                if path[-1] in path[:-1]:
-                    first = path.index(path[-1])
-                    loop = path[first:-1]
-                    if np.ptp(corners[loop], axis=0).max() > _HOLE * extent:
-                        return np.empty((0, 3), np.int64)
-                    added += [(loop[0], *side) for side in pairwise(loop[1:])]
-                    path = path[: first + 1]
-                    if first == 0:
-                        break
-    return np.array(added, np.int64).reshape(-1, 3)
 
 
 def _without_walls(faces: Any) -> Any:
