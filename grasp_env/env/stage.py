@@ -19,7 +19,7 @@ from grasp_env.sim import HandKinematics, ObjectDescription, Scene
 from grasp_env.sim.config import START_CLEARANCE, SceneConfig
 from grasp_env.sim.engine import engine_of
 from grasp_env.sim.grasping import FRICTION_MARGIN, check_motion, place_hand, plan_grasp
-from grasp_env.sim.grasping.points import GraspPlan, check_points
+from grasp_env.sim.grasping.points import GraspPlan, check_points, narrowness
 from grasp_env.sim.grasping.record import HandGrasp
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.task import Move
@@ -27,7 +27,7 @@ from grasp_env.task import Move
 PLACINGS = 3
 """Number of poses that are tried for each object, for a hand that is not `placed`."""
 BETTER = 0.75
-"""Share of the force at its own place below which a built-in hand is placed elsewhere."""
+"""Share of the force at its own place, times its `narrowness`, below which a built-in hand moves."""
 PUSH = 0.5
 """Force along each axis [N] with which places of the hand are compared, besides the weight."""
 POSES = 33
@@ -221,10 +221,8 @@ class Stage:
             return grasp
         with suppress(GraspError):
             placed = self._place(self._given, item, None, 0)
-            if (
-                placed.hand.finger_count == grasp.hand.finger_count
-                and placed.force < BETTER * grasp.force
-            ):
+            own, other = (each.force * narrowness(each.clearance) for each in (grasp, placed))
+            if placed.hand.finger_count == grasp.hand.finger_count and other < BETTER * own:
                 return placed
         return grasp
 

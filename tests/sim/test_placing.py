@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import pickle
 from contextlib import closing
+from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
@@ -15,12 +16,13 @@ from PIL import Image
 
 from grasp_env.config.env import as_config
 from grasp_env.control.hand import HandController, HandControllerSettings
+from grasp_env.env import stage
 from grasp_env.errors import GraspError, GraspFileError, InvalidInputError, NoGraspError
 from grasp_env.force import optimize_force
 from grasp_env.grasp import load_grasp, presets, save_grasp
 from grasp_env.sim import HandDescription, HandGrasp, HandKinematics, ObjectDescription, place_hand
 from grasp_env.sim.config import START_CLEARANCE
-from grasp_env.sim.grasping import placing, sites
+from grasp_env.sim.grasping import placing, plan_grasp, sites
 from grasp_env.sim.grasping.miss import NearestMiss
 from grasp_env.sim.grasping.points import GraspSearch, limbs_of
 from grasp_env.sim.objects.cache import entries
@@ -271,3 +273,19 @@ def test_a_hand_with_a_name_is_placed_anew_where_its_own_place_fails():
     # a place that is given is kept, or refused
     with pytest.raises(InvalidInputError, match=r"into the palm|finds no contact"):
         gym.make(ENV, object=tall, hand=own.moved((0.0, 1e-6, 0.0)))
+
+
+def test_a_hand_with_a_name_moves_where_its_links_are_too_near(monkeypatch):
+    """The object moves by some tenths of a millimetre, and then links would touch it."""
+    own = HandDescription.four_finger()
+
+    def hand_at(clearance: float) -> HandDescription:
+        def plan(*args: Any) -> Any:
+            return replace(plan_grasp(*args), clearance=clearance)
+
+        monkeypatch.setattr(stage, "plan_grasp", plan)
+        with closing(gym.make(ENV, object=BALL, disturbance="none", duration=0.1)) as env:
+            return env.unwrapped.grasp.hand
+
+    assert hand_at(3e-3) == own
+    assert hand_at(1e-4) != own

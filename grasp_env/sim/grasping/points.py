@@ -38,6 +38,7 @@ _MARGINS = (
     (0.003, 0.02, 0.0015, 0.0006),
     (0.001, 0.0, 0.0005, 0.0015),
 )
+_ROOM = _MARGINS[0][2]
 _DIRECTIONS = 120
 _TRIES = 3  # runs with the easier margins
 MISSES = (
@@ -197,6 +198,11 @@ def check_points(
                 )
             inward[index] = unit
     return on, inward
+
+
+def narrowness(clearance: float) -> float:
+    """Return the factor by which a force counts more where links are this near to an object [m]."""
+    return (_ROOM / clearance) ** 0.5
 
 
 class GraspSearch:

@@ -13,7 +13,7 @@ from grasp_env import core
 from grasp_env.inputs.arguments import Array
 from grasp_env.sim.grasping.approach import palm_direction
 from grasp_env.sim.grasping.pads import SOFT_PAIR, with_protruding_tips
-from grasp_env.sim.grasping.points import MISSES, GraspPlan, GraspSearch
+from grasp_env.sim.grasping.points import MISSES, GraspPlan, GraspSearch, narrowness
 from grasp_env.sim.grasping.sites import Site, one_motor
 from grasp_env.sim.hand.check import Vector3
 from grasp_env.sim.hand.description import HandDescription
@@ -23,7 +23,6 @@ from grasp_env.sim.hand.limbs import hand_limbs, touching_pairs
 from grasp_env.sim.objects.description import ObjectDescription
 
 _RAYS = 60  # rays per finger
-_ROOM = 0.003  # clearance that is not penalised [m]
 _NEWTON_STEPS, _TOUCHING = 20, 1e-9  # most steps; gap at which a tip touches [m]
 _IDLE = 1.3  # factor of the force for each finger that does not touch
 _MIN_SHARE = 0.1  # lower bound of the motors' share of a normal force
@@ -187,7 +186,7 @@ class Trials:
         ratios = [sizes[-1] / sizes[0] for sizes in values if sizes[-1] > _PLANAR * sizes[0]]
         uneven = max(1.0, _EVEN / min(ratios, default=1.0))
         force = plan.force * _IDLE ** (self.hand.finger_count - len(moves))
-        return force * uneven**2 * share**-_SHARE_POWER * (_ROOM / plan.clearance) ** 0.5
+        return force * uneven**2 * share**-_SHARE_POWER * narrowness(plan.clearance)
 
     def placed(self, candidate: Candidate) -> HandDescription:
         """Return the hand in the pose of a candidate."""
