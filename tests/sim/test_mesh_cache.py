@@ -365,13 +365,13 @@ def test_vhacd_cuts_what_coacd_crashes_on(monkeypatch):
 
     def crash(name: str, *_: Any, **given: Any) -> Any:
         tasks.append(name.rsplit("_", 1)[1])
-        if tasks[-1] == "coacd" or len(tasks) > 3:
+        if tasks[-1] == "coacd" or len(tasks) > 4:
             raise ChildProcessError("crashed")
         return pieces.by_vhacd(**given)
 
     monkeypatch.setattr(pieces, "apart", crash)
     assert len(pieces.convex_pieces(*ring(), "ring").corners) > 1
-    assert tasks == ["coacd", "coacd", "vhacd"]
+    assert tasks == ["coacd", "coacd", "coacd", "vhacd"]
     with pytest.raises(InvalidInputError, match=r"cannot be cut .*crashed.*grasp object mend"):
         pieces.convex_pieces(*ring(), "ring")
 
@@ -432,11 +432,11 @@ def _touches_middle(client: int, item: ObjectDescription, contacts: str | None) 
 
 
 def test_what_a_time_limit_made_is_not_kept(tmp_path, monkeypatch):
-    runs: list[str] = []
+    runs: list[tuple[str, float]] = []
 
     def late(name: str, *_: Any, **given: Any) -> Any:
-        runs.append(name.rsplit("_", 1)[1])
-        if runs[-1] == "coacd":
+        runs.append((name.rsplit("_", 1)[1], float(given["concavity"])))
+        if runs[-1][0] == "coacd":
             raise TimeoutError("it took more than 30 s")
         return pieces.by_vhacd(**given)
 
@@ -445,7 +445,8 @@ def test_what_a_time_limit_made_is_not_kept(tmp_path, monkeypatch):
     for _ in range(2):
         mesh._load.cache_clear()
         mesh.load_mesh(file, 1.0, tell=False)
-    assert runs == ["coacd", "coacd", "vhacd"] * 2
+    # after the usual cut a coarser one, and none that is finer
+    assert runs == [("coacd", 0.03), ("coacd", 0.06), ("vhacd", 0.02)] * 2
     assert entries() == []
 
 

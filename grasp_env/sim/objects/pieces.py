@@ -39,6 +39,7 @@ class Cut(NamedTuple):
 CUTS = (
     Cut("by_coacd", 2000, 0.03, if_none=False),
     Cut("by_coacd", 4000, 0.02, if_none=False),
+    Cut("by_coacd", 2000, 0.06, if_none=True),
     Cut("by_vhacd", 4000, 0.02, if_none=True),
 )
 """Cuts that are tried in turn, until the pieces stand out by at most `FAR`."""
@@ -63,8 +64,9 @@ def convex_pieces(corners: Array, faces: Any, name: str) -> Pieces:
     """Cut a mesh into convex pieces; a convex mesh is one piece.
 
     CoACD (Wei et al. 2022) cuts it. If the pieces stand out by more than `FAR`, it cuts once more
-    and finer, and V-HACD if CoACD fails; the pieces that stand out least are kept. They contain
-    all corners of the mesh, except for what `MAX_CORNERS` leaves out.
+    and finer; if it takes too long, once more and coarser; and V-HACD if it fails. The pieces that
+    stand out least are kept. They contain all corners of the mesh, except for what `MAX_CORNERS`
+    leaves out.
     """
     from scipy.spatial import ConvexHull
 
@@ -78,6 +80,8 @@ def convex_pieces(corners: Array, faces: Any, name: str) -> Pieces:
     for cut in CUTS:
         if best and (cut.if_none or best.excess.distance <= FAR * extent_of(corners)):
             break
+        if not (in_time or cut.if_none):  # a finer cut takes longer
+            continue
         try:
             pieces = _cut(corners, faces, name, cut)
         except TimeoutError as error:
