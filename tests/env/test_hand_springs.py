@@ -179,16 +179,57 @@ def test_joints_are_drawn_back_from_their_ends():
     assert_allclose(torques, free @ (free.T @ pull), atol=1e-4 * np.abs(pull).max())
 
 
+def test_a_home_posture_near_an_end_is_kept():
+    """Fingers that need it would move others, whose links would touch the object."""
+    hand = HandDescription.allegro()
+    near = np.array(hand.home)
+    near[[1, 6]] = hand.links[1].upper - 0.05, hand.links[6].lower + 0.08
+    hand = replace(hand, home=tuple(near.tolist()))
+    assert np.abs(posture_alone(hand, near, np.zeros(4))).max() < 1e-12
+    # nearer to the end it is drawn back as far as home
+    angles = near.copy()
+    angles[1] += 0.03
+    pull = np.zeros(16)
+    pull[1] = -1e-3 * (1.0 + 100.0) * 0.03
+    moves = np.concatenate([HandKinematics(hand).jacobian(angles, k) for k in range(4)])
+    free = null_space(moves)
+    torques = posture_alone(hand, angles, np.zeros(4))
+    assert_allclose(torques, free @ (free.T @ pull), atol=1e-4 * np.abs(pull).max())
+
+
+def test_a_wrist_is_kept_a_hundred_times_as_stiff():
+    """What moves it would move all fingers."""
+    allegro = HandDescription.allegro()
+    below = "palm"
+    base = replace(
+        allegro.links[0], name="wrist", joint="wrist_joint", parent=below, collision=(), visual=()
+    )
+    rest = [
+        replace(link, parent="wrist" if link.parent == below else link.parent)
+        for link in allegro.links
+    ]
+    hand = replace(allegro, links=(base, *rest), home=(0.0, *allegro.home))
+    home = np.array(hand.home)
+    away = home + np.array([0.01, *[0.0] * 16])
+    kinematics = HandKinematics(hand)
+    free = null_space(np.concatenate([kinematics.jacobian(away, k) for k in range(4)]))
+    pull = np.zeros(17)
+    pull[0] = -1e-3 * 100.0 * 0.01
+    torques = posture_alone(hand, away, np.zeros(4))
+    assert_allclose(torques, free @ (free.T @ pull), atol=1e-4 * np.abs(pull).max())
+
+
 def test_free_joints_are_critically_damped():
-    """Each by its own inertia, under a spring of 1e-3 N m/rad, without moving the tips."""
+    """Each by its own inertia, under springs of posture and rolling of 31e-3 N m/rad together,
+    without moving the tips."""
     hand = HandDescription.allegro()
     kinematics = HandKinematics(hand)
     home = np.array(hand.home)
     rates = np.random.default_rng(0).standard_normal(16)
     inertia = 1.0 / kinematics.mobility(home)[1]
-    assert (2.0 * np.sqrt(1e-3 * inertia) < inertia / PERIOD).all()
+    assert (2.0 * np.sqrt(31e-3 * inertia) < inertia / PERIOD).all()
     free = null_space(np.concatenate([kinematics.jacobian(home, k) for k in range(4)]))
-    pull = -2.0 * np.sqrt(1e-3 * inertia) * rates
+    pull = -2.0 * np.sqrt(31e-3 * inertia) * rates
     torques = posture_alone(hand, home, np.zeros(4), rates)
     # 1e-10 m^2 stands on the diagonal of the system, whose numbers are about 1e-3 m^2
     assert_allclose(torques, free @ (free.T @ pull), atol=1e-4 * np.abs(pull).max())

@@ -40,13 +40,17 @@ class Springs {
           2.0 * std::sqrt(settings.reach_stiffness * std::max(LIGHTEST, 1.0 / of));
       reach_.push_back(stable({settings.reach_stiffness, damping, settings.reach_limit}, of));
     }
-    for (double of : mobility.joints) {
+    const std::vector<int> fingers = model.tree->fingers_per_motor(model.tree->all_fingers());
+    for (std::size_t j = 0; j < home.size(); ++j) {
+      const double of = mobility.joints[j];
+      const double gain = (fingers[j] > 1 ? SHARED : 1.0) * settings.posture_stiffness;
+      const double roll = ROLL * settings.posture_stiffness;
+      // critical for the springs of posture and rolling together
       const double damping =
-          std::max(settings.posture_damping,
-                   2.0 * std::sqrt(settings.posture_stiffness / std::max(of, 1.0)));
-      posture_.push_back(stable({settings.posture_stiffness, damping}, of));
+          std::max(settings.posture_damping, 2.0 * std::sqrt((gain + roll) / std::max(of, 1.0)));
+      posture_.push_back(stable({gain, damping}, of));
       range_.push_back(stable({END * settings.posture_stiffness, 0.0}, of));
-      roll_.push_back(stable({ROLL * settings.posture_stiffness, 0.0}, of));
+      roll_.push_back(stable({roll, 0.0}, of));
     }
     reach_depth_ = settings.reach_force / settings.reach_stiffness;
     for (int i = 0; i < model.tree->fingers(); ++i) movers_.push_back(model.tree->movers(i));
@@ -111,7 +115,10 @@ class Springs {
       const Link& link = tree.links[j];
       const double angle = state[ANGLES][j];
       const double room = std::min(NEAR_END, 0.25 * (link.upper - link.lower));
-      const double beyond = std::clamp(angle, link.lower + room, link.upper - room) - angle;
+      // a home posture near an end is one that the fingers need
+      const double low = std::min(link.lower + room, home[j]);
+      const double high = std::max(link.upper - room, home[j]);
+      const double beyond = std::clamp(angle, low, high) - angle;
       pull_[j] = link.coupled() ? 0.0
                                 : posture_[j].gain * (home[j] - angle) + range_[j].gain * beyond -
                                       posture_[j].damping * state[RATES][j];
@@ -145,9 +152,10 @@ class Springs {
   // [m] a place follows what is farther no faster than this within `SETTLING`: one wrong pose of
   // the object hardly moves it
   static constexpr double FARTHEST = 5e-3;
-  // A joint that the tips leave free is drawn back near its ends, and the link of a touching tip
-  // turned back, by so many times the stiffness of the posture.
-  static constexpr double END = 100.0, ROLL = 30.0;
+  // A joint that the tips leave free is drawn back near its ends, the link of a touching tip turned
+  // back, and a joint that moves several tips, such as a wrist, kept, by so many times the
+  // stiffness of the posture.
+  static constexpr double END = 100.0, ROLL = 30.0, SHARED = 100.0;
   static constexpr double NEAR_END = 0.2;  // [rad]
   const HandModel& model_;
   std::vector<Spring> grip_, reach_;  // (N,)
