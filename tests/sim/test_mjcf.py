@@ -272,6 +272,23 @@ def test_meshes_lie_where_their_files_have_them(tmp_path):
     assert np.linalg.norm(touched[:, None] - wanted[None], axis=2).min(axis=1).max() < 1e-7
 
 
+def test_attributes_of_other_versions_are_left_out(tmp_path):
+    """Those of options, also in a file that is included; those of joints may change the hand."""
+    old = '<mujocoinclude><option apirate="200" timestep="0.001"/><size njmax="9"/></mujocoinclude>'
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "old.xml").write_text(old)
+    text = PLAIN.replace("<worldbody>", '<include file="parts/old.xml"/><worldbody>', 1)
+    for name in ("hand.xml", "hand.mjcf"):
+        hand, told = read(tmp_path, text, name=name)
+        assert (
+            f"attributes that MuJoCo {mujoco.__version__} does not know are left out: 'apirate' of <option>"
+            in told
+        )
+        assert hand.joint_names == read(tmp_path, PLAIN)[0].joint_names
+    with pytest.raises(InvalidInputError, match="unrecognized attribute: 'stiff'"):
+        read(tmp_path, FINGERS.format(one='stiff="1"', two="", rod="", more=""))
+
+
 CARRIED = '<body name="r2"><joint name="r" axis="0 1 0"/><geom size="0.005" pos="0 0 0.05"/></body>'
 
 

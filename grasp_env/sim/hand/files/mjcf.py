@@ -38,12 +38,16 @@ class MjcfReader:
 
     def __init__(self, path: str | os.PathLike[str], tips: Sequence[str] = ()) -> None:
         self.path = Path(os.fsdecode(path))
-        self.model, degrees = load_model(self.path)
+        self.model, degrees, unknown = load_model(self.path)
         model = self.model
         self.name = model_name(model, self.path)
         self._shapes = MjcfShapes(model, self.path)
         self.undrawn = self._shapes.undrawn
         self.notes: list[str] = []
+        if unknown:
+            self.notes.append(
+                f"attributes that MuJoCo {mujoco.__version__} does not know are left out: {', '.join(unknown)}"
+            )
         if model.nbody - 1 > _MAX_BODIES:
             raise InvalidInputError(
                 f"there are {model.nbody - 1} bodies, allowed are up to {_MAX_BODIES}; take the hand out"

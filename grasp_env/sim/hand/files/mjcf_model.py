@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import re
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
+from xml.etree.ElementTree import Element, ParseError, fromstring, tostring
 
 import numpy as np
 
@@ -20,12 +22,14 @@ from grasp_env.sim.objects.apart import apart
 _SECONDS = 30.0
 _MAX_MEMORY = 8 << 30  # longest time [s] and largest memory [bytes] to compile a file
 _UNNAMED = "MuJoCo Model"  # name that MuJoCo gives to a model without one
+_UNKNOWN = re.compile(r"unrecognized attribute: '(?P<name>\w+)'\s+Element '(?P<element>\w+)'")
+_WITHOUT_BODIES = ("option", "flag", "size", "statistic", "global", "quality", "map", "headlight")
 # fields with the number of elements of each kind
 _COUNTS = {"body": "nbody", "joint": "njnt", "actuator": "nu"}
 
 
-def load_model(path: Path) -> tuple[Any, bool]:
-    """Return the compiled model of a file, and True if its angles are degrees."""
+def load_model(path: Path) -> tuple[Any, bool, list[str]]:
+    """Return the compiled model of a file, True if its angles are degrees, and what was left out."""
     where = f"cannot read the MuJoCo model {path}"
     task = f"{__name__}:compile_mjcf"
     text = f"compiling {path.name}"
@@ -41,11 +45,12 @@ def load_model(path: Path) -> tuple[Any, bool]:
         raise InvalidInputError(f"{where}: {' '.join(str(compiled['error']).split())}")
     name = "model.mjb"
     model = mujoco.MjModel.from_binary_path(name, {name: compiled["model"].tobytes()})
-    return model, bool(compiled["degrees"])
+    return model, bool(compiled["degrees"]), compiled["left_out"].tolist()
 
 
 def compile_mjcf(path: Any) -> dict[str, Any]:
-    """Return the binary "model", uint8, and "degrees", True if its angles are; or the "error".
+    """Return the binary "model", uint8; "degrees", True if its angles are; and the attributes that
+    were "left_out"; or the "error".
 
     `apart` runs this function.
     """
@@ -53,14 +58,15 @@ def compile_mjcf(path: Any) -> dict[str, Any]:
     first, spec = "", None
     for folder in list(file.parents)[: PARENTS + 1]:
         try:
-            spec = _spec(file, folder)
+            spec, left_out = _spec(file, folder)
             model = spec.compile()
-        except (ValueError, RuntimeError, MemoryError) as error:
+        except (ValueError, RuntimeError, MemoryError, ParseError, OSError) as error:
             first = _stand_ins(spec, folder) or first or str(error) or type(error).__name__
             continue
         buffer = np.empty(mujoco.mj_sizeModel(model), np.uint8)
         mujoco.mj_saveModel(model, None, buffer)
-        return {"model": buffer, "degrees": np.array(bool(spec.compiler.degree))}
+        degrees = np.array(bool(spec.compiler.degree))
+        return {"model": buffer, "degrees": degrees, "left_out": np.array(left_out, dtype=np.str_)}
     return {"error": np.array(first)}
 
 
@@ -80,14 +86,50 @@ def _stand_ins(spec: Any, folder: Path) -> str:
     return ""
 
 
-def _spec(file: Path, folder: Path) -> Any:
-    """Return the specification in a file, with mesh names relative to a folder."""
+def _spec(file: Path, folder: Path) -> tuple[Any, list[str]]:
+    """Return the specification in a file, with mesh names relative to a folder.
+
+    Also return the attributes that this MuJoCo does not know and that were left out, in words:
+    those of `_WITHOUT_BODIES`, which change neither bodies nor joints.
+    """
     os.chdir(folder)
-    if folder == file.parent and file.suffix == ".xml":
-        return mujoco.MjSpec.from_file(str(file))
-    spec = mujoco.MjSpec.from_string(file.read_text())
-    spec.modelfiledir = str(folder)
-    return spec
+    tree: Element | None = None
+    left_out = list[str]()
+    while True:
+        try:
+            if tree is None and folder == file.parent and file.suffix == ".xml":
+                return mujoco.MjSpec.from_file(str(file)), left_out
+            text = file.read_text() if tree is None else tostring(tree, "unicode")
+            spec = mujoco.MjSpec.from_string(text)
+            spec.modelfiledir = str(folder)
+            return spec, left_out
+        except ValueError as error:
+            unknown = _UNKNOWN.search(str(error))
+            if not unknown or unknown["element"] not in _WITHOUT_BODIES:
+                raise
+            tree = _with_includes(file, file.parent) if tree is None else tree
+            found = [
+                each
+                for each in tree.iter(unknown["element"])
+                if each.get(unknown["name"]) is not None
+            ]
+            if not found:
+                raise
+            for element in found:
+                del element.attrib[unknown["name"]]
+            left_out.append(f"{unknown['name']!r} of <{unknown['element']}>")
+
+
+def _with_includes(file: Path, folder: Path) -> Element:
+    """Return the XML of a file, with the children of included files in place of `include`."""
+    root = fromstring(file.read_text())
+    for parent in list(root.iter()):
+        for position, child in reversed(list(enumerate(parent))):
+            if child.tag == "include":
+                parent[position : position + 1] = _with_includes(
+                    folder / child.get("file", ""), folder
+                )
+    return root
 
 
 def model_name(model: Any, path: Path) -> str:
