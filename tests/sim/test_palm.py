@@ -290,3 +290,22 @@ def test_jaws_that_meet_are_no_rods(tmp_path):
     )
     text += pivot("palm", "short_jaw", 0.012, 0.01, -1.0) + rods("short_jaw", (0.0, 0.035))
     assert read(tmp_path, text)[0].finger_names == ("left_crank", "short_jaw")
+
+
+def test_of_two_hands_on_a_flange_one_is_read(tmp_path):
+    """The flange stays; without `palm` both are one hand, and it is told."""
+    text = link("flange")
+    for side in "lr":
+        text += joint(f"{side}mount", "flange", f"{side}palm", kind="fixed")
+        text += hand(f"{side}palm", side)
+    made, told = read(tmp_path, text, palm="lpalm")
+    alone, _ = read(tmp_path, hand("lpalm", "l"))
+    assert (made.links, made.finger_names) == (alone.links, alone.finger_names)
+    assert "limbs that the palm 'lpalm' does not carry are left out, with the joints " in told
+    both, told = read(tmp_path, text)
+    assert both.finger_count == 2 * made.finger_count
+    assert (
+        "the links 'lpalm', 'rpalm' carry several fingers each, which are read as one hand" in told
+    )
+    # a flange that carries both is no hand of its own
+    assert read(tmp_path, text, palm="flange")[0].finger_count == both.finger_count

@@ -160,10 +160,31 @@ class _Robot:
         on_arms = [palm for group, palm in palms.items() if group in self._arms]
         return on_arms or list(palms.values())
 
+    def _hands(self, group: str) -> dict[str, list[str]]:
+        """Return the links of a rigid group that carry several fingers, with all that they carry.
+
+        None carries another.
+        """
+        carriers = [self._above[child][1] for _, child in self._joints[group]]
+        hands = {
+            name: self._descendants(name)
+            for name in dict.fromkeys(carriers)
+            if carriers.count(name) > 1
+        }
+        return {
+            name: links
+            for name, links in hands.items()
+            if not any(other in links for other in hands if other != name)
+        }
+
     def whole(self) -> Part:
         """Return the whole file as the hand, or raise an error if it has an arm."""
         if not self._arms:
-            return Part(self._root, self.links)
+            hands = self._hands(self._root)
+            notes = (
+                f"the links {names_of(hands)} carry several fingers each, which are read as one hand; palm= reads those of one link",
+            )
+            return Part(self._root, self.links, notes=notes if len(hands) > 1 else ())
         group, chain = max(self._arms.items(), key=lambda item: len(item[1]))
         where = " and leads to a branching" if self._joints[group] else ""
         palms = " or ".join(f"palm={name!r}" for name in self._palms())
@@ -187,6 +208,10 @@ class _Robot:
             joint, top = self._above[top]
             reversed_joints.append(joint)
         links = self._descendants(top)
+        hands = self._hands(self._group[palm])
+        if palm in hands:
+            others = {link for name in hands if name != palm for link in hands[name]}
+            links = [link for link in links if link not in others]
         moving = [(joint, parent) for joint, parent, _ in self._ends if joint not in self._fixed]
         carried = {joint for joint, parent, _ in self._ends if parent in links}
         if not any(joint in carried for joint, _ in moving):
