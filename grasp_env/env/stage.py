@@ -27,13 +27,20 @@ from grasp_env.task import Move
 PLACINGS = 3
 """Number of poses that are tried for each object, for a hand that is not `placed`."""
 BETTER = 0.75
-"""Share of the force at its own place, times its `narrowness`, below which a built-in hand moves."""
+"""Share of the `_cost` at its own place below which a built-in hand is placed elsewhere."""
+ENOUGH = 60.0
+"""The `_cost` of a place [N] above which others are tried, too."""
 PUSH = 0.5
 """Force along each axis [N] with which places of the hand are compared, besides the weight."""
 POSES = 33
 """Number of poses of a motion that a hand must reach, for a hand that is not `placed`."""
 REDRAWS = 20
 """Largest number of random objects that are tried at a reset until the hand can hold one."""
+
+
+def _cost(grasp: HandGrasp) -> float:
+    """Return the force of a grasp [N], which counts more where links are near to the object."""
+    return grasp.force * narrowness(grasp.clearance)
 
 
 class Stage:
@@ -171,11 +178,12 @@ class Stage:
     ) -> HandGrasp:
         """Return the grasp with this number of those that are tried.
 
-        First is one whose motors make most of its forces; without one, that with the largest share.
+        First are those whose motors make most of the forces, by their `_cost`; then the others, by
+        the share that motors make. A first one of little cost is enough.
         """
         if self._nominal is not None:
             return self._place(hand, item, least, number)
-        found = list[tuple[float, HandGrasp]]()
+        found = list[tuple[float, float, HandGrasp]]()
         failure: InvalidInputError | None = None
         for seed in range(PLACINGS):
             try:
@@ -183,13 +191,14 @@ class Stage:
             except InvalidInputError as error:
                 failure = error
                 continue
-            found.append((self._carried(grasp, item), grasp))
-            if found[-1][0] <= MAX_CARRIED:
+            carried = max(self._carried(grasp, item), MAX_CARRIED)
+            found.append((carried, _cost(grasp), grasp))
+            if len(found) == 1 and carried <= MAX_CARRIED and _cost(grasp) <= ENOUGH:
                 break
         if failure is not None and number >= len(found):
             raise failure
-        found.sort(key=lambda pair: pair[0])
-        return found[number][1] if number < len(found) else self._place(hand, item, least, number)
+        found.sort(key=lambda row: row[:2])
+        return found[number][2] if number < len(found) else self._place(hand, item, least, number)
 
     def _place(
         self, hand: HandDescription, item: ObjectDescription, least: int | None, seed: int
@@ -221,8 +230,8 @@ class Stage:
             return grasp
         with suppress(GraspError):
             placed = self._place(self._given, item, None, 0)
-            own, other = (each.force * narrowness(each.clearance) for each in (grasp, placed))
-            if placed.hand.finger_count == grasp.hand.finger_count and other < BETTER * own:
+            same = placed.hand.finger_count == grasp.hand.finger_count
+            if same and _cost(placed) < BETTER * _cost(grasp):
                 return placed
         return grasp
 

@@ -289,3 +289,25 @@ def test_a_hand_with_a_name_moves_where_its_links_are_too_near(monkeypatch):
 
     assert hand_at(3e-3) == own
     assert hand_at(1e-4) != own
+
+
+def test_of_three_places_the_one_of_least_force_is_taken(monkeypatch):
+    """Where the first needs a large force, or has links near to the object; else it is taken."""
+    first = place_hand(HAND, BALL)
+
+    def chosen(*numbers: tuple[float, float]) -> float:
+        """The force of the place that is taken, of these with force [N] and clearance [m]."""
+
+        def place(*_: Any, seed: int, **__: Any) -> HandGrasp:
+            force, clearance = numbers[seed]
+            return replace(first, force=force, clearance=clearance)
+
+        monkeypatch.setattr(stage, "place_hand", place)
+        with closing(gym.make(ENV, hand=HAND, object=BALL, duration=0.1)) as env:
+            return env.unwrapped.grasp.force
+
+    assert chosen((59.0, 3e-3)) == 59.0
+    assert chosen((61.0, 3e-3), (70.0, 3e-3), (40.0, 3e-3)) == 40.0
+    # 0.5 mm count as much as 2.4 times the force
+    assert chosen((40.0, 5e-4), (97.0, 3e-3), (99.0, 3e-3)) == 97.0
+    assert chosen((40.0, 5e-4), (99.0, 3e-3), (99.0, 3e-3)) == 40.0

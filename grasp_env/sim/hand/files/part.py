@@ -182,7 +182,7 @@ class _Robot:
         if not self._arms:
             hands = self._hands(self._root)
             notes = (
-                f"the links {names_of(hands)} carry several fingers each, which are read as one hand; palm= reads those of one link",
+                f"the links {names_of([*hands])} carry several fingers each, which are read as one hand; palm= reads those of one link",
             )
             return Part(self._root, self.links, notes=notes if len(hands) > 1 else ())
         group, chain = max(self._arms.items(), key=lambda item: len(item[1]))
