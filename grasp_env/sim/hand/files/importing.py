@@ -21,13 +21,14 @@ from grasp_env.inputs.arguments import AllFaults, Array
 from grasp_env.inputs.extras import need
 from grasp_env.inputs.files import parsed
 from grasp_env.sim.hand.check import Vector3
+from grasp_env.sim.hand.files.arranging import arrange
 from grasp_env.sim.hand.files.elements import NO_INERTIA, FileJoint, HandFile, names_of
 from grasp_env.sim.hand.files.ends import Ends, find_ends, fitted_tips
 from grasp_env.sim.hand.files.fixed_jaw import fixed_jaw
 from grasp_env.sim.hand.files.groups import Groups
 from grasp_env.sim.hand.files.joints import fill_ranges, find_rods, free_ranges, judge_ranges
 from grasp_env.sim.hand.files.options import HandOptions, Inertial
-from grasp_env.sim.hand.files.part import arrange, read_part
+from grasp_env.sim.hand.files.part import read_part
 from grasp_env.sim.hand.files.plausible import Body, Judge
 from grasp_env.sim.hand.files.urdf import UrdfReader
 from grasp_env.sim.hand.files.xacro import robot_of
