@@ -101,11 +101,15 @@ class HandControllerSettings(Settings):
     posture_stiffness: float = setting(
         0.01,
         real(NOT_NEGATIVE),
-        "Stiffness of joints that the fingertips leave free, towards their home posture.",
+        "Stiffness of joints that the fingertips leave free, towards their home posture. A joint that moves several fingertips, such as a wrist, "
+        "is a hundred times as stiff.",
         unit="N m/rad",
     )
     posture_damping: float = setting(
-        0.001, real(NOT_NEGATIVE), "Least damping of these joints.", unit="N m s/rad"
+        0.001,
+        real(NOT_NEGATIVE),
+        "Least damping of these joints; their springs are damped critically.",
+        unit="N m s/rad",
     )
     damping: float = setting(0.0, real(NOT_NEGATIVE), "Damping of every joint.", unit="N m s/rad")
     force_rate: float = setting(
