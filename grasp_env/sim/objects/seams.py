@@ -12,7 +12,8 @@ from grasp_env.sim.mesh_shape import grouped, numbered, sides_of
 
 _HOLE = 0.1  # largest extent of a small hole, relative to the extent
 _SHEETS = 0.25  # most of the area that sheets may have
-_MOST_SIDES = 20_000  # sides with one face; a soup of triangles has more
+# sides with one face, and corners near them; a soup of triangles has more
+_MOST_SIDES, _MOST_NEAR = 20_000, 1_000_000
 _PASSES = 4  # in each a face is split at one of its three sides
 
 
@@ -33,7 +34,11 @@ def split_sides(corners: Array, faces: Any, grain: float) -> tuple[Any, int]:
         nodes = np.unique(sides[lone])
         a, b = corners[sides[lone, 0]], corners[sides[lone, 1]]
         lengths = np.linalg.norm(b - a, axis=1)
-        near = KDTree(corners[nodes]).query_ball_point(0.5 * (a + b), 0.5 * lengths)
+        tree = KDTree(corners[nodes])
+        balls = 0.5 * (a + b), 0.5 * lengths
+        if tree.query_ball_point(*balls, return_length=True).sum() > _MOST_NEAR:
+            break
+        near = tree.query_ball_point(*balls)
         pieces = list[tuple[int, int, int]]()
         split = set[int]()
         for side, start, end, length, found in zip(lone.tolist(), a, b, lengths, near, strict=True):

@@ -70,7 +70,9 @@ def _opened(path: str | os.PathLike[str], options: HandOptions) -> HandFile:
         raise InvalidInputError("it is SDF, which is not read: give the hand's URDF, xacro or MJCF")
     expand, arguments = options.expansion()
     if first.tag == "robot":
-        return UrdfReader(path, robot_of(Path(os.fsdecode(path)), first, expand, arguments))
+        robot = robot_of(Path(os.fsdecode(path)), first, expand, arguments)
+        palm = options.checked_palm()
+        return UrdfReader(path, robot, [*(options.tips() or ()), *([palm] if palm else [])])
     if expand or arguments:
         raise InvalidInputError(
             f"the first element is <{first.tag[:40]}>, xacro expands <robot>: leave out xacro= and xacro_args="

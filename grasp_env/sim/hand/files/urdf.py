@@ -15,6 +15,7 @@ from grasp_env.errors import InvalidInputError, shown
 from grasp_env.inputs.arguments import AllFaults
 from grasp_env.sim.hand.check import Vector3, limits
 from grasp_env.sim.hand.files.elements import NO_INERTIA, FileJoint, FileLink
+from grasp_env.sim.hand.files.loops import cut_loops
 from grasp_env.sim.hand.files.urdf_shapes import UrdfShapes
 from grasp_env.sim.hand.files.urdf_values import number, placement, row
 from grasp_env.sim.hand.frames import IDENTITY, Frame
@@ -30,6 +31,8 @@ _SLIDING, _FIXED = "prismatic", "fixed"
 class UrdfReader:
     """A reader of one URDF file, or expanded xacro file, with the first element `robot`.
 
+    Loops are cut, see `cut_loops`; the links `named` by the caller stay.
+
     Attributes:
         name: Name of the robot.
         names: Names of its links.
@@ -42,7 +45,9 @@ class UrdfReader:
         notes: A sentence for each thing that was assumed or left out.
     """
 
-    def __init__(self, path: str | os.PathLike[str], robot: Element) -> None:
+    def __init__(
+        self, path: str | os.PathLike[str], robot: Element, named: Collection[str] = ()
+    ) -> None:
         self.name: str = robot.get("name") or "hand"
         self._links, self._joints = robot.findall("link"), robot.findall("joint")
         if not self._links:
@@ -60,6 +65,15 @@ class UrdfReader:
             )
         self._shapes = UrdfShapes(path, robot)
         self.undrawn, self.notes = self._shapes.undrawn, self._shapes.notes
+        self._read_tree()
+        if (cut := cut_loops(self.names, self.ends, self.fixed, self.mimics, named)).joints:
+            self._links = [link for link in self._links if link.get("name") not in cut.links]
+            self._joints = [joint for joint in self._joints if joint.get("name") not in cut.joints]
+            self.notes += cut.notes
+            self._read_tree()
+
+    def _read_tree(self) -> None:
+        """Set the attributes that say how the links hang together."""
         self.names = [element.get("name", "") for element in self._links]
         self.ends = [
             (element.get("name", ""), _end(element, "parent"), _end(element, "child"))
