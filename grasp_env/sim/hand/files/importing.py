@@ -71,8 +71,7 @@ def _opened(path: str | os.PathLike[str], options: HandOptions) -> HandFile:
     expand, arguments = options.expansion()
     if first.tag == "robot":
         robot = robot_of(Path(os.fsdecode(path)), first, expand, arguments)
-        palm = options.checked_palm()
-        return UrdfReader(path, robot, [*(options.tips() or ()), *([palm] if palm else [])])
+        return UrdfReader(path, robot, options.checked_palm(), tuple(options.tips() or ()))
     if expand or arguments:
         raise InvalidInputError(
             f"the first element is <{first.tag[:40]}>, xacro expands <robot>: leave out xacro= and xacro_args="

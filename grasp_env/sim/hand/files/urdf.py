@@ -31,7 +31,7 @@ _SLIDING, _FIXED = "prismatic", "fixed"
 class UrdfReader:
     """A reader of one URDF file, or expanded xacro file, with the first element `robot`.
 
-    Loops are cut, see `cut_loops`; the links `named` by the caller stay.
+    Loops are cut, see `cut_loops`, where the caller may name the palm and the fingertips.
 
     Attributes:
         name: Name of the robot.
@@ -46,7 +46,11 @@ class UrdfReader:
     """
 
     def __init__(
-        self, path: str | os.PathLike[str], robot: Element, named: Collection[str] = ()
+        self,
+        path: str | os.PathLike[str],
+        robot: Element,
+        palm: str | None = None,
+        tips: Collection[str] = (),
     ) -> None:
         self.name: str = robot.get("name") or "hand"
         self._links, self._joints = robot.findall("link"), robot.findall("joint")
@@ -66,7 +70,8 @@ class UrdfReader:
         self._shapes = UrdfShapes(path, robot)
         self.undrawn, self.notes = self._shapes.undrawn, self._shapes.notes
         self._read_tree()
-        if (cut := cut_loops(self.names, self.ends, self.fixed, self.mimics, named)).joints:
+        cut = cut_loops(self.names, self.ends, self.fixed, self.mimics, palm, tips)
+        if cut.joints:
             self._links = [link for link in self._links if link.get("name") not in cut.links]
             self._joints = [joint for joint in self._joints if joint.get("name") not in cut.joints]
             self.notes += cut.notes
