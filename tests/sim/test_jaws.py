@@ -21,6 +21,7 @@ from grasp_env.sim.grasping.pads import (
     with_protruding_tips,
     with_soft_contacts,
 )
+from grasp_env.sim.hand.limbs import touching_pairs
 from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Mimic, Palm
 
 CUBE = ObjectDescription("cuboid", (0.05, 0.05, 0.05), mass=0.15, friction=0.7)
@@ -55,6 +56,17 @@ def jaws(motors: int = 1, force: float = 40.0) -> HandDescription:
     return HandDescription("jaws", palm, tuple(links), tuple(tips), placed=False)
 
 
+def racks(gap: float) -> HandDescription:
+    """Return the jaws on two racks that pass each other at a gap [m]."""
+    hand = jaws()
+    bars = [Geometry("box", (0.005, 0.12, 0.005), (x, 0.0, 0.0)) for x in (0.02, 0.025 + gap)]
+    links = (
+        replace(link, collision=(*link.collision, bar))
+        for link, bar in zip(hand.links, bars, strict=True)
+    )
+    return replace(hand, links=tuple(links))
+
+
 def claw(ratio: float = 1.0) -> HandDescription:
     """Return two fingers that one motor swings against each other, the second `ratio` times as
     fast."""
@@ -82,6 +94,14 @@ def test_both_jaws_touch_at_once(hand, item):
         # fingers of one motor open together: the other may be farther away
         assert (gaps > wanted - 2e-5).all()
         assert wanted > 0.0 or (gaps < 2e-5).all()
+
+
+@pytest.mark.parametrize(("gap", "pairs"), [(0.0025, ((0, 1),)), (0.0035, ())])
+def test_racks_that_are_always_near_may_be_so(gap, pairs):
+    """They are nearer than fingers may be, in every posture; so a search must not ask for more."""
+    hand = racks(gap)
+    assert touching_pairs(hand) == pairs
+    assert place_hand(hand, replace(CUBE, torsional_friction=0.005), keep=False).clearance > 0.0
 
 
 def test_one_motor_makes_the_forces_of_both_jaws():

@@ -18,7 +18,8 @@ from grasp_env.sim.hand.kinematics import HandKinematics
 _Pair: TypeAlias = tuple[int, int]
 _POSTURES = 64  # random postures within the joint ranges
 _NEAR = 0.002  # [m], largest gap of near links
-_MOSTLY = 0.9  # fraction of the postures in which links must be near to count as always near
+_APART = 0.003  # [m], least gap of two fingers that placing asks for, as `grasping.points._SPACE`
+_MOSTLY = 0.9  # fraction of the postures that counts as nearly all
 
 
 def hand_limbs(hand: HandDescription) -> list[core.Limb]:
@@ -76,22 +77,31 @@ def touching_pairs(hand: HandDescription, at_home: bool = True) -> tuple[tuple[i
     touch; as indices, -1 for the palm.
 
     Two links form such a pair if they overlap in the rest posture, or in at least half of the
-    random postures, or if they overlap in some posture and are within 2 mm in nearly all. Links
-    that share a joint are left out, and the rest posture unless `at_home`.
+    random postures, or if they overlap in some posture and are within 2 mm in nearly all. So do two
+    moving links that are nearer than fingers may be in all postures and overlap in hardly any, as
+    on shafts side by side. Links that share a joint are left out, and the rest posture unless
+    `at_home`.
     """
-    overlaps, nears, home = _pairs(hand)
+    overlaps, nears, close, home = _pairs(hand)
     always = {
         pair
         for pair, count in overlaps.items()
         if 2 * count >= _POSTURES or nears[pair] >= _MOSTLY * _POSTURES
     }
+    always |= {
+        pair
+        for pair, count in close.items()
+        if count == _POSTURES and -1 not in pair and overlaps[pair] <= (1.0 - _MOSTLY) * _POSTURES
+    }
     return tuple(sorted(always | home if at_home else always))
 
 
 @lru_cache(maxsize=32)
-def _pairs(hand: HandDescription) -> tuple[Counter[_Pair], Counter[_Pair], set[_Pair]]:
-    """Count, for pairs of links, the random postures with overlap and with a gap below `_NEAR`;
-    find overlaps in the rest posture.
+def _pairs(
+    hand: HandDescription,
+) -> tuple[Counter[_Pair], Counter[_Pair], Counter[_Pair], set[_Pair]]:
+    """Count, for pairs of links, the random postures with overlap and with gaps below `_NEAR` and
+    `_APART`; find overlaps in the rest posture.
     """
     kinematics = HandKinematics(hand)
     limbs = core.HandLimbs.make(kinematics.tree, hand_limbs(hand), kinematics.home)
@@ -100,11 +110,13 @@ def _pairs(hand: HandDescription) -> tuple[Counter[_Pair], Counter[_Pair], set[_
     draws = np.random.default_rng(0).random((_POSTURES, hand.joint_count))
     overlaps = Counter[_Pair]()
     nears = Counter[_Pair]()
+    close = Counter[_Pair]()
     for draw in draws:
-        gaps = limbs.link_gaps(low + draw * (high - low), _NEAR)
-        nears.update({(first, second) for first, second, _ in gaps})
+        gaps = limbs.link_gaps(low + draw * (high - low), _APART)
+        nears.update({(first, second) for first, second, gap in gaps if gap <= _NEAR})
+        close.update({(first, second) for first, second, _ in gaps})
         overlaps.update(_overlapping(gaps))
-    return overlaps, nears, _overlapping(limbs.link_gaps(kinematics.home, 0.0))
+    return overlaps, nears, close, _overlapping(limbs.link_gaps(kinematics.home, 0.0))
 
 
 def _overlapping(gaps: list[tuple[int, int, float]]) -> set[_Pair]:
