@@ -31,7 +31,7 @@ from grasp_env.sim.objects.description import ObjectDescription, sides_text
 
 LONGEST = 20.0
 """Most processor time of a search [s]."""
-_VERSION = 4  # part of the cache's key: increase it when a search may find another grasp
+_VERSION = 5  # part of the cache's key: increase it when a search may find another grasp
 
 # attempts to find a good grasp; attempts to find any, or one that is not weak
 _ATTEMPTS, _MAX_ATTEMPTS = 3, 6
