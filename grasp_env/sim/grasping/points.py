@@ -18,14 +18,13 @@ from grasp_env.sim.config import ON_SURFACE, START_CLEARANCE, SceneConfig
 from grasp_env.sim.engine import engine_of
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.kinematics import HandKinematics
-from grasp_env.sim.hand.limbs import hand_limbs, touching_pairs
+from grasp_env.sim.hand.limbs import APART, hand_limbs, touching_pairs
 from grasp_env.sim.objects.description import ObjectDescription, sides_text
 
 FRICTION_MARGIN = 0.85  # default share of the friction that a grasp may use
 LARGEST_FORCE = 500.0  # largest total normal force of a grasp in the worst case [N]
 _GRAVITY, _PUSH, _TURN = 9.81, 2.0, 0.06  # loads that rate a grasp [m/s^2], [N], [N m]
 _ASIDE = 1e-3  # distance from the contact at which a normal is tested [m]
-_SPACE = 0.003  # least distance between fingers [m]
 _CONTACTS = 20  # candidates per finger
 _RAYS = 140
 _STARTS = 20
@@ -234,7 +233,7 @@ class GraspSearch:
             friction=self.margin * item.friction * hand.tip_friction,
             torsion=self.margin * item.torsional_friction * hand.tip_friction,
             length=length,
-            space=_SPACE,
+            space=APART,
             start=START_CLEARANCE,
             gravity=(0.0, -_GRAVITY, 0.0),
             loads=_loads(item.mass, length),

@@ -16,9 +16,10 @@ from grasp_env.sim.hand.frames import rotation_matrix
 from grasp_env.sim.hand.kinematics import HandKinematics
 
 _Pair: TypeAlias = tuple[int, int]
+APART = 0.003
+"""Least gap of two fingers in a planned grasp [m]."""
 _POSTURES = 64  # random postures within the joint ranges
 _NEAR = 0.002  # [m], largest gap of near links
-_APART = 0.003  # [m], least gap of two fingers that placing asks for, as `grasping.points._SPACE`
 _MOSTLY = 0.9  # fraction of the postures that counts as nearly all
 
 
@@ -101,7 +102,7 @@ def _pairs(
     hand: HandDescription,
 ) -> tuple[Counter[_Pair], Counter[_Pair], Counter[_Pair], set[_Pair]]:
     """Count, for pairs of links, the random postures with overlap and with gaps below `_NEAR` and
-    `_APART`; find overlaps in the rest posture.
+    `APART`; find overlaps in the rest posture.
     """
     kinematics = HandKinematics(hand)
     limbs = core.HandLimbs.make(kinematics.tree, hand_limbs(hand), kinematics.home)
@@ -112,7 +113,7 @@ def _pairs(
     nears = Counter[_Pair]()
     close = Counter[_Pair]()
     for draw in draws:
-        gaps = limbs.link_gaps(low + draw * (high - low), _APART)
+        gaps = limbs.link_gaps(low + draw * (high - low), APART)
         nears.update({(first, second) for first, second, gap in gaps if gap <= _NEAR})
         close.update({(first, second) for first, second, _ in gaps})
         overlaps.update(_overlapping(gaps))
