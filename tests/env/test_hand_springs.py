@@ -198,7 +198,7 @@ def test_a_home_posture_near_an_end_is_kept():
 
 
 def test_a_wrist_is_kept_a_hundred_times_as_stiff():
-    """What moves it would move all fingers."""
+    """A wrist that gives way moves every finger."""
     allegro = HandDescription.allegro()
     below = "palm"
     base = replace(

@@ -22,7 +22,7 @@ def chain(*names: str, mimic: str = "", first: str = "f1", last: str = "f2") -> 
 
 
 def test_a_finger_keeps_its_hinge_beside_a_flexure(tmp_path):
-    """Wherever the flexure stands in the file, the hand is that without it, and it is told."""
+    """Wherever the flexure stands in the file, the hand is read without it, with a note."""
     flexure = chain("n1", "n2") + link("mark") + joint("m", "n2", "mark", kind="fixed")
     alone, before = read(tmp_path, FINGERS)
     assert "loop" not in before

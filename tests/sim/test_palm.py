@@ -293,7 +293,7 @@ def test_jaws_that_meet_are_no_rods(tmp_path):
 
 
 def test_of_two_hands_on_a_flange_one_is_read(tmp_path):
-    """The flange stays; without `palm` both are one hand, and it is told."""
+    """The flange is kept. Without `palm` both are read as one hand, with a note."""
     text = link("flange")
     for side in "lr":
         text += joint(f"{side}mount", "flange", f"{side}palm", kind="fixed")

@@ -292,7 +292,7 @@ def test_a_hand_with_a_name_moves_where_its_links_are_too_near(monkeypatch):
 
 
 def test_of_three_places_the_one_of_least_force_is_taken(monkeypatch):
-    """Where the first needs a large force, or has links near to the object; else it is taken."""
+    """The first is taken unless its force is large or its links are close to the object."""
     first = place_hand(HAND, BALL)
 
     def chosen(*numbers: tuple[float, float]) -> float:
