@@ -70,6 +70,17 @@ def test_the_solid_is_closed_exactly(name):
     assert mesh(corners, faces).is_watertight
 
 
+def test_a_thin_part_between_others_is_no_wall():
+    """Without its sides the mesh would be closed, too, and they are smaller than the walls."""
+    thin, end = with_a_wall(0.004), box(0.05, 0.004)
+    faces = np.array(end.faces)[np.array(end.face_normals)[:, 0] > -0.5]
+    corners = np.vstack([thin.vertices, end.vertices])
+    faces = np.vstack([thin.faces, len(thin.vertices) + faces])
+    corners, faces, changes = close_mesh(corners, faces, "mesh")
+    assert "4 faces of inner walls were dropped" in changes
+    assert volume(corners, faces) == pytest.approx(0.114 / 0.06 * WHOLE, rel=1e-9)
+
+
 def test_an_open_part_is_no_wall():
     """Without it the mesh would be closed, but the object would have lost a part."""
     handle = creation.annulus(0.01, 0.012, 0.1)

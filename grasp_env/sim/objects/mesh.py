@@ -18,7 +18,7 @@ from grasp_env.sim.objects.cache import cached
 from grasp_env.sim.objects.pieces import FAR, Excess, convex_pieces
 from grasp_env.sim.objects.reading import open_mesh, read_mesh
 
-_VERSION = "10"  # part of the cache's key: increase it when the processed arrays change
+_VERSION = "11"  # part of the cache's key: increase it when the processed arrays change
 # excess distance [m] and volume of the pieces above which a warning gives both
 _NEAR, _THIN = 0.003, 0.1
 # relative difference of moments, or product of inertia, below which axes are not distinguished

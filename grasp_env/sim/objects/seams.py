@@ -7,13 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from grasp_env.inputs.arguments import Array
-from grasp_env.sim.mesh_shape import grouped, numbered, sides_of
+from grasp_env.inputs.arguments import Array, unit_vectors
+from grasp_env.sim.mesh_shape import extent_of, grouped, numbered, sides_of
 
 _HOLE = 0.1  # largest extent of a small hole, relative to the extent
 _SHEETS = 0.25  # most of the area that sheets may have
 # sides with one face, and corners near them; a soup of triangles has more
 _MOST_SIDES, _MOST_NEAR = 20_000, 1_000_000
+_LOOKS = 256  # rays from the middle of a sheet
+_SAME = 1e-9  # rounding of a place on a face, and of the length of a ray, relative to the extent
 _PASSES = 4  # in each a face is split at one of its three sides
 
 
@@ -97,7 +99,8 @@ def loop_fillings(corners: Array, faces: Any, extent: float) -> Any:
 def without_sheets(corners: Array, faces: Any) -> Any:
     """Drop the smallest sheets that end where three or five faces meet; return the other faces.
 
-    Such a sheet is a wall between joined solids. Together they have at most `_SHEETS` of the area.
+    Such a sheet is a wall between joined solids if no way in a straight line leads outside from it.
+    Together they have at most `_SHEETS` of the area.
     """
     number = numbered(sides_of(faces))[1]
     counts = np.bincount(number)
@@ -116,7 +119,30 @@ def without_sheets(corners: Array, faces: Any) -> Any:
         left -= areas[patch].sum()
         if left < 0.0:
             break
-        if len(border) and odd[border].all():
+        middle = patch[areas[patch].argmax()]
+        if len(border) and odd[border].all() and _is_enclosed(corners, faces[kept], faces[middle]):
             kept[patch] = False
             odd[border] = False
     return faces[kept]
+
+
+def _is_enclosed(corners: Array, faces: Any, face: Any) -> bool:
+    """Return True if every ray from the middle of a face meets another one.
+
+    Moeller and Trumbore (1997) intersect a ray with triangles.
+    """
+    start = corners[face].mean(axis=0)
+    a, b, c = (corners[faces[:, k]] for k in range(3))
+    across, along, away = b - a, c - a, start - a
+    turned = np.cross(away, across)
+    reached = np.einsum("fk,fk->f", along, turned)
+    for ray in unit_vectors(np.random.default_rng(0).standard_normal((_LOOKS, 3))):
+        normal = np.cross(ray, along)
+        with np.errstate(divide="ignore", invalid="ignore"):  # faces along the ray
+            scale = 1.0 / np.einsum("fk,fk->f", across, normal)
+            u = scale * np.einsum("fk,fk->f", away, normal)
+            v = scale * (turned @ ray)
+            ahead = scale * reached > _SAME * extent_of(corners)
+            if not (ahead & (u >= -_SAME) & (v >= -_SAME) & (u + v <= 1.0 + _SAME)).any():
+                return False
+    return True
