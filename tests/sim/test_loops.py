@@ -101,3 +101,12 @@ def test_a_loop_that_leads_back_is_cut(tmp_path):
     assert made.links == read(tmp_path, FINGERS)[0].links
     assert "'f1' by 'fa', not by 'back'" in told
     assert "left out: " not in told.partition("only closed a loop")[2]
+
+
+def test_a_joint_that_drives_another_is_not_cut(tmp_path):
+    """Without it the other could not follow; so the loop is refused as before."""
+    text = FINGERS + chain("n1")
+    at = text.index('<joint name="tb"')
+    text = text[:at] + text[at:].replace("</joint>", '<mimic joint="n1_to_f2"/></joint>', 1)
+    with pytest.raises(InvalidInputError, match="'f2' is the child of two joints"):
+        read(tmp_path, text)

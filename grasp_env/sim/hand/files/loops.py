@@ -30,8 +30,8 @@ def cut_loops(
     Each link keeps the joint on the way from the root with the fewest motors, of several the
     shortest, then the first in the file. Links that only closed a loop inside a finger are left
     out, except the `tips` and those whose joints drive others. Nothing is left out if a loop begins
-    at the palm, as its other way may be a finger, or if there are other faults. `part.find_root`
-    tells these.
+    at the palm, as its other way may be a finger, if a joint that is cut drives another, or if
+    there are other faults. `part.find_root` reports these.
     """
     children = [child for _, _, child in ends]
     roots = [link for link in dict.fromkeys(links) if link not in children]
@@ -70,6 +70,9 @@ def cut_loops(
             if inner or drives or not limb.isdisjoint({palm, *tips}):
                 break
             left |= limb
+    joints = {joint for joint, _, _ in cut} | {ways[link][0] for link in left}
+    if any(driver in joints for joint, driver in mimics.items() if joint not in joints):
+        return Cut()
     rows = [
         f"{child!r} by {ways[child][0]!r}, not by {joint!r}"
         for joint, _, child in cut
@@ -82,7 +85,6 @@ def cut_loops(
     if left:
         alone = [link for link in links if link in left]
         notes.append(f"links that only closed a loop are left out: {names_of(alone)}")
-    joints = {joint for joint, _, _ in cut} | {ways[link][0] for link in left}
     return Cut(frozenset(joints), frozenset(left), tuple(notes))
 
 
